@@ -1,0 +1,144 @@
+//! All columns of one level, as flat run lists.
+
+use crate::Run;
+
+/// The run lists of `nx × nz` columns, each `ny` high. Column `(x, z)` is number `z·nx + x`; its runs ascend, do
+/// not overlap and do not touch (the encoding is maximal, so equal occupancy gives equal runs).
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct Columns {
+    nx: u32,
+    ny: u32,
+    nz: u32,
+    /// `nx·nz + 1` positions in `runs`.
+    offsets: Vec<u32>,
+    runs: Vec<Run>,
+}
+
+impl Columns {
+    /// Columns from their parts. Panics where the parts contradict each other: importers and readers build
+    /// through [`ColumnsBuilder`] or validate first.
+    pub fn from_parts(nx: u32, ny: u32, nz: u32, offsets: Vec<u32>, runs: Vec<Run>) -> Columns {
+        assert!(ny <= 65_536, "columns are at most 65,536 high");
+        assert_eq!(offsets.len() as u64, u64::from(nx) * u64::from(nz) + 1);
+        assert_eq!(offsets.last().copied(), Some(runs.len() as u32));
+        Columns { nx, ny, nz, offsets, runs }
+    }
+
+    /// A world without one solid voxel.
+    pub fn empty(nx: u32, ny: u32, nz: u32) -> Columns {
+        Columns::from_parts(nx, ny, nz, vec![0; nx as usize * nz as usize + 1], Vec::new())
+    }
+
+    pub fn nx(&self) -> u32 {
+        self.nx
+    }
+
+    pub fn ny(&self) -> u32 {
+        self.ny
+    }
+
+    pub fn nz(&self) -> u32 {
+        self.nz
+    }
+
+    /// `[nx, ny, nz]`.
+    pub fn dims(&self) -> [u32; 3] {
+        [self.nx, self.ny, self.nz]
+    }
+
+    /// Start of each column in [`Columns::runs`], and the end of the last.
+    pub fn offsets(&self) -> &[u32] {
+        &self.offsets
+    }
+
+    /// All runs, column by column.
+    pub fn runs(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// Number of column `(x, z)`.
+    #[inline]
+    pub fn index(&self, x: u32, z: u32) -> usize {
+        z as usize * self.nx as usize + x as usize
+    }
+
+    /// Where the runs of column number `ix` stand in [`Columns::runs`].
+    #[inline]
+    pub fn range(&self, ix: usize) -> std::ops::Range<usize> {
+        self.offsets[ix] as usize..self.offsets[ix + 1] as usize
+    }
+
+    /// The runs of column `(x, z)`, lowest first.
+    #[inline]
+    pub fn column(&self, x: u32, z: u32) -> &[Run] {
+        &self.runs[self.range(self.index(x, z))]
+    }
+
+    /// The run of column `(x, z)` that holds voxel `y`, as a position in [`Columns::runs`].
+    pub fn find(&self, x: u32, y: u32, z: u32) -> Option<usize> {
+        let range = self.range(self.index(x, z));
+        let start = range.start;
+        let column = &self.runs[range];
+        let after = column.partition_point(|r| u32::from(r.first()) <= y);
+        (after > 0 && column[after - 1].end() > y).then(|| start + after - 1)
+    }
+
+    /// Whether voxel `(x, y, z)` is solid; outside the world nothing is.
+    pub fn solid(&self, x: i64, y: i64, z: i64) -> bool {
+        let inside = |v: i64, n: u32| (0..i64::from(n)).contains(&v);
+        inside(x, self.nx)
+            && inside(y, self.ny)
+            && inside(z, self.nz)
+            && self.find(x as u32, y as u32, z as u32).is_some()
+    }
+
+    /// Number of solid voxels.
+    pub fn voxels(&self) -> u64 {
+        self.runs.iter().map(|r| u64::from(r.len())).sum()
+    }
+}
+
+/// Builds [`Columns`] one column after the other, x fastest, then z.
+pub struct ColumnsBuilder {
+    columns: Columns,
+}
+
+impl ColumnsBuilder {
+    pub fn new(nx: u32, ny: u32, nz: u32) -> ColumnsBuilder {
+        assert!((1..=65_536).contains(&ny), "columns are 1 to 65,536 high");
+        let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
+        offsets.push(0);
+        ColumnsBuilder { columns: Columns { nx, ny, nz, offsets, runs: Vec::new() } }
+    }
+
+    /// Adds a run to the column under construction. Runs come lowest first; one that touches or overlaps the run
+    /// before it is merged with it.
+    #[inline]
+    pub fn push_run(&mut self, run: Run) {
+        let c = &mut self.columns;
+        debug_assert!(run.end() <= c.ny);
+        let column_start = *c.offsets.last().expect("offsets start with 0") as usize;
+        if c.runs.len() > column_start {
+            let before = c.runs.last_mut().expect("the column has a run");
+            debug_assert!(before.first() <= run.first());
+            if u32::from(run.first()) <= before.end() {
+                *before = Run::new(before.first(), before.last().max(run.last()));
+                return;
+            }
+        }
+        c.runs.push(run);
+    }
+
+    /// Ends the column under construction and starts the next.
+    #[inline]
+    pub fn end_column(&mut self) {
+        let n = u32::try_from(self.columns.runs.len()).expect("at most 2³² − 1 runs a level");
+        self.columns.offsets.push(n);
+    }
+
+    /// All columns; panics if fewer or more than `nx·nz` were ended.
+    pub fn finish(self) -> Columns {
+        let Columns { nx, ny, nz, offsets, runs } = self.columns;
+        Columns::from_parts(nx, ny, nz, offsets, runs)
+    }
+}

@@ -1,0 +1,22 @@
+//! The scene format of planecast and everything that makes one.
+//!
+//! A *column* is one `(x, z)` of the world, y up; a *run* is a solid interval of a column; a *level* is the
+//! world at half the resolution of the level before, in x, y and z. [`Scene`] holds all levels of one world in
+//! memory as flat run lists; the file form (`.pcast`) holds the same runs as the two-level lists of Forstmann &
+//! Ohya 2009 §3.1, in tiles.
+//!
+//! ```text
+//! file ──source──► Input ──build──► Scene ──write──► .pcast ──read──► Scene
+//! ```
+
+pub mod columns;
+pub mod error;
+pub mod input;
+pub mod run;
+pub mod scene;
+
+pub use columns::{Columns, ColumnsBuilder};
+pub use error::{Error, Result};
+pub use input::{Colors, Input};
+pub use run::Run;
+pub use scene::{ColorMode, Encoding, Level, MipRule, Rgb, Scene};

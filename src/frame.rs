@@ -1,0 +1,50 @@
+//! A finished picture and what it cost.
+
+/// A drawn frame, all arrays row by row from the top, `width · height` long.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    pub width: u32,
+    pub height: u32,
+    /// sRGB, alpha 255.
+    pub color: Vec<[u8; 4]>,
+    /// Distance along `forward` at which the pixel's ray enters the voxel it shows; sky is +inf.
+    pub depth: Vec<f32>,
+    /// Level-0 x, y, z of the voxel's minimum corner and its level; −1, −1, −1, −1 for sky. Empty unless asked for.
+    pub voxel: Vec<[i32; 4]>,
+    pub stats: Stats,
+}
+
+/// Milliseconds by stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct StageTimes {
+    pub setup: f64,
+    pub traverse: f64,
+    pub remap: f64,
+    pub shade: f64,
+    pub total: f64,
+}
+
+/// Work of one frame.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Stats {
+    /// The adapter's name, or "cpu".
+    pub device: String,
+    pub kernel: String,
+    /// Planes cast, and how many the spacing of one pixel along each far edge would cast.
+    pub planes: u32,
+    pub planes_full: u32,
+    /// Levels that the scene has.
+    pub levels: u32,
+    pub width: u32,
+    pub height: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_ms: Option<StageTimes>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu_ms: Option<StageTimes>,
+    pub columns_visited: u64,
+    pub runs_visited: u64,
+    pub spans_drawn: u64,
+    pub bytes_scene_gpu: u64,
+    /// Features that the frame paid for.
+    pub specialization: Vec<String>,
+}

@@ -1,0 +1,88 @@
+//! What a picture is drawn with.
+
+/// Which worlds repeat: the scene is tiled without end along the axes named.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Repeat {
+    pub x: bool,
+    pub z: bool,
+}
+
+/// Culling, each part with its own switch; no combination changes the picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Culling {
+    /// Floating horizon: the open window's ends move in as samples at the ends fill.
+    pub horizon: bool,
+    /// Center segment: runs inside the largest filled segment that touches no end are skipped.
+    pub center: bool,
+    /// Forward skip: filled stretches are jumped over, as in shear-warp.
+    pub forward: bool,
+    /// Visibility bits: one bit a sample, instead of looking at the plane buffer itself.
+    pub bits: bool,
+    /// Coarse cells: blocks of columns whose height range lies outside the window are skipped whole.
+    pub coarse: bool,
+}
+
+impl Culling {
+    pub const ALL: Culling = Culling { horizon: true, center: true, forward: true, bits: true, coarse: true };
+    pub const NONE: Culling = Culling { horizon: false, center: false, forward: false, bits: false, coarse: false };
+}
+
+/// How many planes are cast.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Planes {
+    /// One pixel apart along the far edge of each fan.
+    Auto,
+    /// This many in all, shared among the fans as `Auto` would.
+    Count(u32),
+    /// A multiple of what `Auto` takes; 1.0 is `Auto`.
+    Factor(f64),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shading {
+    /// Colour as stored.
+    None,
+    /// Screen-space normals.
+    Ssn,
+    /// Screen-space ambient occlusion.
+    Ssao,
+    /// Both.
+    Full,
+}
+
+/// Everything but the camera and the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// Columns farther than this (horizontal distance, voxels) are not drawn.
+    pub view_distance: f64,
+    pub repeat: Repeat,
+    /// A voxel may project to about this many pixels before a finer level is used; `None` draws level 0 only.
+    pub lod: Option<f64>,
+    pub planes: Planes,
+    /// The paper's readjusted spacing (§3.2, Fig. 4): fewer planes where fans would crowd.
+    pub readjust: bool,
+    pub culling: Culling,
+    /// Beyond this horizontal distance one column is looked at a slice, instead of each that the plane cuts.
+    pub equidistant: Option<f64>,
+    pub gap_fill: bool,
+    pub shading: Shading,
+    /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
+    pub fog: Option<f64>,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            view_distance: f64::INFINITY,
+            repeat: Repeat::default(),
+            lod: Some(1.0),
+            planes: Planes::Auto,
+            readjust: false,
+            culling: Culling::ALL,
+            equidistant: None,
+            gap_fill: true,
+            shading: Shading::Full,
+            fog: None,
+        }
+    }
+}
