@@ -9,12 +9,19 @@
 //! file ──source──► Input ──build──► Scene ──write──► .pcast ──read──► Scene
 //! ```
 
+pub mod build;
 pub mod columns;
 pub mod error;
+pub mod exposure;
 pub mod input;
+pub mod mips;
 pub mod run;
 pub mod scene;
+pub mod srgb;
+#[cfg(test)]
+mod testing;
 
+pub use build::{BuildOptions, build};
 pub use columns::{Columns, ColumnsBuilder};
 pub use error::{Error, Result};
 pub use input::{Colors, Input};
