@@ -13,7 +13,7 @@ pub fn next_dims(dims: [u32; 3]) -> [u32; 3] {
 /// Number of levels of a world: the last is the first that is a single column.
 pub fn n_levels(dims: [u32; 3]) -> u32 {
     let widest = dims[0].max(dims[2]);
-    1 + widest.next_power_of_two().trailing_zeros()
+    1 + (u32::BITS - widest.saturating_sub(1).leading_zeros())
 }
 
 /// The occupancy of the level above `fine`.
