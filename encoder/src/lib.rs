@@ -14,6 +14,7 @@ pub mod error;
 pub mod input;
 pub mod run;
 pub mod scene;
+pub mod source;
 
 pub use columns::{Columns, ColumnsBuilder};
 pub use error::{Error, Result};

@@ -1,0 +1,2 @@
+use crate::*;
+pub fn from_name(_name: &str) -> Result<Input> { Err(Error::Argument("x".into())) }
