@@ -1,2 +1,0 @@
-use crate::*;
-pub fn from_name(_name: &str) -> Result<Input> { Err(Error::Argument("x".into())) }
