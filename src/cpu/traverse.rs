@@ -278,14 +278,9 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     delta: R,
     eye_y: i32,
     fract_y: R,
-    /// The plane's own window: samples, and the slopes at its ends.
-    first: i32,
-    end: i32,
-    s_first: R,
-    s_end: R,
     /// More samples than any plane has.
     limit: R,
-    /// The open window within it.
+    /// The open window: samples, and the slopes at its ends.
     lo: i32,
     hi: i32,
     s_lo: R,
@@ -340,10 +335,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             delta: R::from_f64(plane.b * plane.c - plane.a * plane.e),
             eye_y: setup.eye_cell[1],
             fract_y: R::from_f64(setup.eye_fract[1]),
-            first: plane.first as i32,
-            end: plane.end as i32,
-            s_first: R::ZERO,
-            s_end: R::ZERO,
             limit: R::from_i32(1 << 24),
             lo: plane.first as i32,
             hi: plane.end as i32,
@@ -362,9 +353,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             cell: [0; 2],
             counters: Counters::default(),
         };
-        walk.s_first = walk.edge_slope(walk.first);
-        walk.s_end = walk.edge_slope(walk.end);
-        (walk.s_lo, walk.s_hi) = (walk.s_first, walk.s_end);
+        walk.s_lo = walk.edge_slope(walk.lo);
+        walk.s_hi = walk.edge_slope(walk.hi);
         walk
     }
 
@@ -391,19 +381,20 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         (lo, hi)
     }
 
-    /// The first sample whose centre is at or above point `(t, h)`, within the plane's own window.
+    /// The first sample of the open window whose centre is at or above point `(t, h)`. Points beyond the window's ends are
+    /// clipped by their slope, before any division: what is divided lies in front of the camera.
     #[inline(always)]
     fn sample(&self, t: R, h: R) -> i32 {
-        if h <= self.s_first * t {
-            return self.first;
+        if h <= self.s_lo * t {
+            return self.lo;
         }
-        if h >= self.s_end * t {
-            return self.end;
+        if h >= self.s_hi * t {
+            return self.hi;
         }
         // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
         let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
         let j = u.truncate(self.limit);
-        (j - i32::from(R::from_i32(j) == u)).clamp(self.first, self.end)
+        (j - i32::from(R::from_i32(j) == u)).max(self.lo).min(self.hi)
     }
 
     #[inline(always)]
@@ -639,8 +630,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(always)]
     fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
         let Drawn { h0, h1, t0, .. } = d;
-        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0).max(self.lo);
-        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1).min(self.hi);
+        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0);
+        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1);
         if j0 >= j1 {
             return;
         }
@@ -760,6 +751,20 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         if let Face::Front = face {
             // How far above the run's foot each sight line meets it, in voxels of level 0.
             let top = R::from_i32(((last - first + 1) << l) as i32 - 1);
+            // Most spans are short: one loop costs less than two.
+            if let (Paint::Voxel { base, exposed, colors }, false, true) = (&level.paint, VOXEL, depth.len() < 8) {
+                let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+                let mut paint = Exposed::default();
+                for (i, (z, c)) in depth.iter_mut().zip(color).enumerate() {
+                    let u = R::from_i32((from + i) as i32);
+                    let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
+                    let q = d.t0 / t.max(R::TINY);
+                    *z = finite((self.delta * q).to_f32());
+                    let above = (h * q - d.h0).truncate(top) as u32;
+                    *c = colors[paint.find(exposed, first + (above >> l))];
+                }
+                return;
+            }
             let mut above = [0u32; 64];
             for (i, (z, above)) in depth.iter_mut().zip(&mut above).enumerate() {
                 let u = R::from_i32((from + i) as i32);
