@@ -28,7 +28,7 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     let rugged = style == Style::Terrain;
 
     // Down to detail of two voxels.
-    let n_fine = (high * 2.0).log2_floor();
+    let n_fine = (ny * 2).ilog2();
     let hills = octaves(1, high * 1.5, n_fine, if rugged { 0.48 } else { 0.42 }, 1.0);
     let ridges = octaves(2, high * 1.2, 4, 0.5, 1.0);
     let regions = octaves(3, high * 2.5, 2, 0.5, 1.0);
@@ -90,17 +90,6 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     let skin = columns.clone();
     let colors = Colors::Function(Box::new(move |x, y, z| color(&skin, x, y, z)));
     Ok(Input { columns, colors, notes: Vec::new() })
-}
-
-/// Whole part of a logarithm to base 2, without a maths library.
-trait Log2Floor {
-    fn log2_floor(self) -> u32;
-}
-
-impl Log2Floor for f32 {
-    fn log2_floor(self) -> u32 {
-        (self as u32).max(1).ilog2()
-    }
 }
 
 /// Grass, sand and snow where a run ends, earth below them, rock where it is steep or deep.
