@@ -34,7 +34,9 @@ pub trait Real:
     const HALF: Self;
     /// Steeper than any slope between voxels, and safe to multiply with any distance.
     const STEEP: Self;
+    /// Nearer to zero no direction's component is taken, so that no depth overflows.
     const TINY: Self;
+    fn abs(self) -> Self;
     fn from_f64(v: f64) -> Self;
     fn from_i32(v: i32) -> Self;
     fn floor_i32(self) -> i32;
@@ -57,7 +59,11 @@ macro_rules! real {
             const ZERO: $t = 0.0;
             const HALF: $t = 0.5;
             const STEEP: $t = 1e18;
-            const TINY: $t = 1e-30;
+            const TINY: $t = 1e-20;
+            #[inline(always)]
+            fn abs(self) -> $t {
+                <$t>::abs(self)
+            }
             #[inline(always)]
             fn from_f64(v: f64) -> $t {
                 v as $t
@@ -160,7 +166,7 @@ pub fn traverse<R: Real>(
     let run = |task: Task<'_>| {
         let n = task.color.len() / task.planes.len();
         let mut counters = Counters::default();
-        let mut scratch = Scratch::default();
+        let mut scratch = Scratch { open: Vec::new(), skip: Vec::new(), sight: Vec::new() };
         for (k, plane) in task.planes.iter().enumerate() {
             let at = k * n..(k + 1) * n;
             let color = &mut task.color[at.clone()];
@@ -177,7 +183,7 @@ pub fn traverse<R: Real>(
     })
 }
 
-fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch, avx2: bool) -> Counters {
+fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) -> Counters {
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         // SAFETY: `has_avx2` has seen that the processor can.
@@ -188,10 +194,21 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch, avx2: bool) -> Co
 }
 
 /// Memory that a task's planes share one after the other.
-#[derive(Default)]
-struct Scratch {
+struct Scratch<R> {
     open: Vec<u64>,
     skip: Vec<u32>,
+    sight: Vec<Sight<R>>,
+}
+
+/// A sample's sight line: the direction `(t, h)` through its centre, which has depth Δ.
+#[derive(Clone, Copy)]
+struct Sight<R> {
+    /// `Δ / t`: depth a unit of horizontal distance.
+    depth_t: R,
+    /// `h / t`.
+    slope: R,
+    /// `|Δ / h|`: depth a unit of height.
+    depth_h: R,
 }
 
 /// One plane's inputs and outputs.
@@ -206,7 +223,7 @@ struct Task1<'a> {
 }
 
 #[inline(always)]
-fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
+fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     macro_rules! walk {
         ($voxel:literal, $fast:literal) => {{
             let mut walk = Walk::<R, $voxel, $fast>::new(task, scratch);
@@ -226,7 +243,7 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
 /// the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
+fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     traverse_one::<R>(task, scratch)
 }
 
@@ -294,6 +311,8 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     open: &'a mut [u64],
     /// For a filled sample, one that may be unfilled, or a step towards it.
     skip: &'a mut [u32],
+    /// Sight lines of the samples.
+    sight: &'a mut [Sight<R>],
     color: &'a mut [u32],
     s_hi: R,
     depth: &'a mut [f32],
@@ -308,7 +327,7 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
 
 impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> {
     #[inline(always)]
-    fn new(task: Task1<'a>, scratch: &'a mut Scratch) -> Self {
+    fn new(task: Task1<'a>, scratch: &'a mut Scratch<R>) -> Self {
         let Task1 { resident, setup, plane, culling, color, depth, voxel } = task;
         let n = color.len();
         scratch.open.clear();
@@ -318,6 +337,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             let to = (plane.end as usize - 64 * j).min(64);
             scratch.open[j] = low_bits(to) & !low_bits(from);
         }
+        let dark = Sight { depth_t: R::ZERO, slope: R::ZERO, depth_h: R::ZERO };
+        scratch.sight.resize(n, dark);
         scratch.skip.clear();
         if !FAST {
             scratch.skip.extend(0..=n as u32);
@@ -346,6 +367,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             left: plane.end as i32 - plane.first as i32,
             open: &mut scratch.open,
             skip: &mut scratch.skip,
+            sight: &mut scratch.sight,
             color,
             depth,
             voxel,
@@ -353,9 +375,23 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             cell: [0; 2],
             counters: Counters::default(),
         };
+        walk.look();
         walk.s_lo = walk.edge_slope(walk.lo);
         walk.s_hi = walk.edge_slope(walk.hi);
         walk
+    }
+
+    /// Sight lines of all samples: here the divisions are, for whole vectors of samples at once.
+    #[inline(always)]
+    fn look(&mut self) {
+        let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
+        for (i, sight) in self.sight[self.lo as usize..self.hi as usize].iter_mut().enumerate() {
+            let u = R::from_i32(self.lo + i as i32);
+            let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
+            let t = if t > R::TINY { t } else { R::TINY };
+            let up = if h.abs() > R::TINY { h.abs() } else { R::TINY };
+            *sight = Sight { depth_t: self.delta / t, slope: h / t, depth_h: self.delta / up };
+        }
     }
 
     /// Slope of the sight line between samples `j − 1` and `j`.
@@ -640,9 +676,15 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let f1 = if h1 < R::ZERO { self.sample(t0, h1).clamp(f0, j1) } else { j1 };
         // The common case: a span at an end of the window, beyond all that was drawn within it, just moves the end.
         if FAST && (j1 <= self.hull[0] || j0 >= self.hull[1]) && (j0 == self.lo || j1 == self.hi) {
-            self.emit_face(level, l, Face::Bottom, d, j0, f0);
-            self.emit_face(level, l, Face::Front, d, f0, f1);
-            self.emit_face(level, l, Face::Top, d, f1, j1);
+            if j0 < f0 {
+                self.emit(level, l, Face::Bottom, d, j0 as usize, f0 as usize);
+            }
+            if f0 < f1 {
+                self.emit(level, l, Face::Front, d, f0 as usize, f1 as usize);
+            }
+            if f1 < j1 {
+                self.emit(level, l, Face::Top, d, f1 as usize, j1 as usize);
+            }
             if j0 == self.lo {
                 self.lo = j1;
                 if j1 == self.hull[0] {
@@ -669,17 +711,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             self.fill(level, l, Face::Top, d, f1, j1);
         }
         self.cull(j0, j1);
-    }
-
-    /// Draws one face into samples that are all unfilled.
-    #[inline(always)]
-    fn emit_face(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: i32, to: i32) {
-        let (mut from, to) = (from as usize, to as usize);
-        while from < to {
-            let end = to.min(from + 64);
-            self.emit(level, l, face, d, from, end);
-            from = end;
-        }
     }
 
     /// Draws one face into the unfilled samples of `from .. to`.
@@ -741,61 +772,41 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         end
     }
 
-    /// Writes samples `from .. to`, all unfilled until now and at most 64.
+    /// Writes samples `from .. to`, all unfilled until now.
     #[inline(always)]
     fn emit(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
         let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
-        let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
+        let sight = &self.sight[from..to];
         let depth = &mut self.depth[from..to];
         let color = &mut self.color[from..to];
         if let Face::Front = face {
+            for (z, s) in depth.iter_mut().zip(sight) {
+                *z = (d.t0 * s.depth_t).to_f32();
+            }
             // How far above the run's foot each sight line meets it, in voxels of level 0.
             let top = R::from_i32(((last - first + 1) << l) as i32 - 1);
-            // Most spans are short: one loop costs less than two.
-            if let (Paint::Voxel { base, exposed, colors }, false, true) = (&level.paint, VOXEL, depth.len() < 8) {
-                let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
-                let mut paint = Exposed::default();
-                for (i, (z, c)) in depth.iter_mut().zip(color).enumerate() {
-                    let u = R::from_i32((from + i) as i32);
-                    let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
-                    let q = d.t0 / t.max(R::TINY);
-                    *z = finite((self.delta * q).to_f32());
-                    let above = (h * q - d.h0).truncate(top) as u32;
-                    *c = colors[paint.find(exposed, first + (above >> l))];
-                }
-                return;
-            }
-            let mut above = [0u32; 64];
-            for (i, (z, above)) in depth.iter_mut().zip(&mut above).enumerate() {
-                let u = R::from_i32((from + i) as i32);
-                let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
-                // At the vanishing point itself a front face would be infinitely high: t is kept off zero there.
-                let q = d.t0 / t.max(R::TINY);
-                *z = finite((self.delta * q).to_f32());
-                *above = (h * q - d.h0).truncate(top) as u32;
-            }
+            let y = |s: &Sight<R>| first + ((s.slope * d.t0 - d.h0).truncate(top) as u32 >> l);
             match &level.paint {
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
                 Paint::Voxel { base, exposed, colors } => {
                     let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
                     let mut paint = Exposed::default();
-                    for (c, above) in color.iter_mut().zip(&above) {
-                        *c = colors[paint.find(exposed, first + (above >> l))];
+                    for (c, s) in color.iter_mut().zip(sight) {
+                        *c = colors[paint.find(exposed, y(s))];
                     }
                 }
             }
             if VOXEL {
-                for (v, above) in self.voxel[from..to].iter_mut().zip(&above) {
-                    *v = [self.cell[0], (first + (above >> l)) as i32, self.cell[1], l as i32];
+                for (v, s) in self.voxel[from..to].iter_mut().zip(sight) {
+                    *v = [self.cell[0], y(s) as i32, self.cell[1], l as i32];
                 }
             }
         } else {
             let (h, y) = if let Face::Top = face { (d.h1, last) } else { (d.h0, first) };
-            let scaled = self.delta * h;
-            for (i, z) in depth.iter_mut().enumerate() {
-                let u = R::from_i32((from + i) as i32);
-                *z = finite((scaled / (ray_h + u * self.c)).to_f32());
+            let up = h.abs();
+            for (z, s) in depth.iter_mut().zip(sight) {
+                *z = (up * s.depth_h).to_f32();
             }
             color.fill(level.paint.color(d.column, d.k, y));
             if VOXEL {
@@ -875,7 +886,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let (lo, hi) = (self.lo.min(self.hi) as usize, self.hi as usize);
         for (w, &open) in self.open.iter().enumerate() {
             // Bits outside the window are out of date: the window's ends moved over those samples because they are filled.
-            let mut open = open & low_bits(hi.saturating_sub(64 * w).min(64)) & !low_bits(lo.saturating_sub(64 * w).min(64));
+            let mut open =
+                open & low_bits(hi.saturating_sub(64 * w).min(64)) & !low_bits(lo.saturating_sub(64 * w).min(64));
             while open != 0 {
                 let j = 64 * w + open.trailing_zeros() as usize;
                 self.color[j] = 0;
@@ -888,13 +900,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         }
         self.counters
     }
-}
-
-/// A drawn depth: never mistaken for the sky, never behind the eye.
-#[inline(always)]
-fn finite(z: f32) -> f32 {
-    let z = if z > 0.0 { z } else { 0.0 };
-    if z < f32::MAX { z } else { f32::MAX }
 }
 
 /// The exposed run that was looked up last: neighbouring samples mostly share it.
