@@ -3,6 +3,9 @@
 pub mod camera;
 pub mod frame;
 pub mod options;
+pub mod output;
+pub mod path;
+pub mod pick;
 
 pub use camera::Camera;
 pub use frame::{Frame, StageTimes, Stats};
