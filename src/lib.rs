@@ -6,6 +6,7 @@ pub mod options;
 pub mod output;
 pub mod path;
 pub mod pick;
+pub mod tour;
 
 pub use camera::Camera;
 pub use frame::{Frame, StageTimes, Stats};
