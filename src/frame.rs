@@ -33,8 +33,11 @@ pub struct Stats {
     /// Planes cast, and how many the spacing of one pixel along each far edge would cast.
     pub planes: u32,
     pub planes_full: u32,
-    /// Levels that the scene has.
+    /// Levels that the scene has, and how many of them the frame could draw.
     pub levels: u32,
+    pub levels_drawn: u32,
+    /// Pixels that no plane passes within half a pixel, before gap fill.
+    pub holes: u64,
     pub width: u32,
     pub height: u32,
     #[serde(skip_serializing_if = "Option::is_none")]

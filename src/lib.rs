@@ -1,13 +1,22 @@
 //! Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes.
 
 pub mod camera;
+pub mod cpu;
+pub mod error;
+pub mod exact;
 pub mod frame;
 pub mod options;
 pub mod output;
 pub mod path;
 pub mod pick;
+pub mod plane_setup;
+pub mod renderer;
+pub mod resident;
 pub mod tour;
 
 pub use camera::Camera;
+pub use error::{Error, Result};
 pub use frame::{Frame, StageTimes, Stats};
-pub use options::{Culling, Options, Planes, Repeat, Shading};
+pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
+pub use renderer::{CpuRenderer, Outputs};
+pub use resident::Resident;

@@ -38,6 +38,15 @@ pub enum Planes {
     Factor(f64),
 }
 
+/// How a pixel picks a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Remap {
+    /// The nearest plane's.
+    Nearest,
+    /// The one among the nearest whose voxel the pixel's own ray meets.
+    Retest,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shading {
     /// Colour as stored.
@@ -64,6 +73,7 @@ pub struct Options {
     pub culling: Culling,
     /// Beyond this horizontal distance one column is looked at a slice, instead of each that the plane cuts.
     pub equidistant: Option<f64>,
+    pub remap: Remap,
     pub gap_fill: bool,
     pub shading: Shading,
     /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
@@ -80,6 +90,7 @@ impl Default for Options {
             readjust: false,
             culling: Culling::ALL,
             equidistant: None,
+            remap: Remap::Retest,
             gap_fill: true,
             shading: Shading::Full,
             fog: None,

@@ -1,0 +1,293 @@
+//! Stage `remap`: each pixel takes the sample of the nearest plane that lies nearest to its ray.
+//!
+//! The vanishing point and a pixel's place give its fan (the axis of the greater distance), its place on the fan's far
+//! edge and so its plane; the sample is the pixel's own row (up, down) or column (left, right). A linear-fractional map,
+//! finite for each pixel but one at the vanishing point itself, which any plane of any fan shows.
+//! (Forstmann & Ohya 2009 §3.6, with the arrow turned round: they scatter textured lines, here pixels gather.)
+
+use crate::camera::Camera;
+use crate::cpu::traverse::{PlaneBuffer, SKY};
+use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, vertical};
+use rayon::prelude::*;
+
+/// No plane passes within half a pixel.
+pub const HOLE: u32 = u32::MAX;
+
+/// Rows that one task remaps: as many samples of a plane as a cache line holds.
+const ROWS_A_TASK: usize = 16;
+
+/// A pixel row cut at the fans' borders.
+pub struct Row<'a> {
+    setup: &'a Setup,
+    /// Row of pixels, and the height of their centres.
+    row: u32,
+    y: f64,
+    width: u32,
+}
+
+/// One stretch of a row: columns `from .. to` lie in `fan`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    pub fan: usize,
+    pub from: u32,
+    pub to: u32,
+}
+
+impl<'a> Row<'a> {
+    pub fn new(setup: &'a Setup, row: u32, width: u32) -> Row<'a> {
+        Row { setup, row, y: f64::from(row) + 0.5, width }
+    }
+
+    /// The row's stretches from left to right; together they are the whole row.
+    pub fn stretches(&self) -> [Stretch; 3] {
+        let [vx, vy, vw] = self.setup.vanishing;
+        let fans = &self.setup.fans;
+        let w = f64::from(self.width);
+        let dy = vy - self.y * vw;
+        let has = |f: usize| fans[f].n_planes > 0;
+        let mut middle = if dy > 0.0 || (dy == 0.0 && has(UP)) { UP } else { DOWN };
+        // |vx − x·vw| ≤ |dy| holds for pixel centres in a stretch around the vanishing point.
+        let (mut from, mut to) = if vw > 0.0 {
+            (((vx - dy.abs()) / vw - 0.5).ceil().clamp(0.0, w), ((vx + dy.abs()) / vw + 0.5).floor().clamp(0.0, w))
+        } else if vx.abs() <= dy.abs() {
+            (0.0, w)
+        } else if vx > 0.0 {
+            (w, w)
+        } else {
+            (0.0, 0.0)
+        };
+        to = to.max(from);
+        // A fan without planes has no pixel but by rounding; its neighbour shows those.
+        if !has(LEFT) {
+            from = 0.0;
+        }
+        if !has(RIGHT) {
+            to = w;
+        }
+        if !has(middle) {
+            middle = if middle == UP && has(DOWN) { DOWN } else { middle };
+            if !has(middle) {
+                if has(LEFT) { from = to } else { to = from }
+            }
+        }
+        let (from, to) = (from as u32, to as u32);
+        [
+            Stretch { fan: LEFT, from: 0, to: from },
+            Stretch { fan: middle, from, to },
+            Stretch { fan: RIGHT, from: to, to: self.width },
+        ]
+    }
+
+    /// Calls `pixel(column, place)` for each column of a stretch.
+    #[inline(always)]
+    pub fn gather(&self, stretch: Stretch, mut pixel: impl FnMut(usize, Place)) {
+        let [vx, vy, vw] = self.setup.vanishing;
+        let fan = &self.setup.fans[stretch.fan];
+        let n = fan.n_samples;
+        if vertical(stretch.fan) {
+            let sample = if fan.flip { n - 1 - self.row } else { self.row };
+            let dy = vy - self.y * vw;
+            let across = if dy == 0.0 { 0.0 } else { (fan.far - self.y) / dy };
+            // A pixel at x lies on the sight line through x + across·(vx − x·vw) of the far edge.
+            let (scale, start) = (1.0 - across * vw, across * vx);
+            for x in stretch.from..stretch.to {
+                let at = (f64::from(x) + 0.5) * scale + start;
+                pixel(x as usize, Place { plane: fan.plane_at(at), sample, at });
+            }
+        } else {
+            for x in stretch.from..stretch.to {
+                let center = f64::from(x) + 0.5;
+                let dx = vx - center * vw;
+                let at = self.y + if dx == 0.0 { 0.0 } else { (fan.far - center) / dx * (vy - self.y * vw) };
+                let sample = if fan.flip { n - 1 - x } else { x };
+                pixel(x as usize, Place { plane: fan.plane_at(at), sample, at });
+            }
+        }
+    }
+
+    /// Whether a plane passes within half a pixel of pixel `x`, whose place is given.
+    fn covered(&self, stretch: Stretch, x: usize, place: Place) -> bool {
+        let [vx, vy, vw] = self.setup.vanishing;
+        let fan = &self.setup.fans[stretch.fan];
+        // At the pixel stripes are narrower than on the far edge.
+        let (here, far) = if vertical(stretch.fan) {
+            (vy - self.y * vw, vy - fan.far * vw)
+        } else {
+            (vx - (x as f64 + 0.5) * vw, vx - fan.far * vw)
+        };
+        let narrow = if here == 0.0 { 0.0 } else { here / far };
+        let (center, _) = fan.place(place.plane);
+        // A rounding's width over, so that planes one pixel apart leave no hole.
+        ((place.at - center) * narrow).abs() <= 0.5 + 1e-6
+    }
+}
+
+/// A pixel's place in the plane buffer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Plane of its fan, and sample of that plane.
+    pub plane: u32,
+    pub sample: u32,
+    /// Where the pixel projects to on the fan's far edge.
+    pub at: f64,
+}
+
+impl Fan {
+    #[inline(always)]
+    fn index(&self, plane: u32, sample: u32) -> usize {
+        self.first_sample + plane as usize * self.n_samples as usize + sample as usize
+    }
+}
+
+/// Colour and depth of each pixel, `width` a row: those of the nearest plane's sample.
+pub fn remap(setup: &Setup, buffer: &PlaneBuffer, width: u32, color: &mut [u32], depth: &mut [f32]) {
+    let w = width as usize;
+    let tasks = color.par_chunks_mut(ROWS_A_TASK * w).zip(depth.par_chunks_mut(ROWS_A_TASK * w)).enumerate();
+    tasks.for_each(|(task, (color, depth))| {
+        for (r, (color, depth)) in color.chunks_mut(w).zip(depth.chunks_mut(w)).enumerate() {
+            let row = Row::new(setup, (task * ROWS_A_TASK + r) as u32, width);
+            for stretch in row.stretches() {
+                let fan = &setup.fans[stretch.fan];
+                row.gather(stretch, |x, place| {
+                    let i = fan.index(place.plane, place.sample);
+                    color[x] = buffer.color[i];
+                    depth[x] = buffer.depth[i];
+                });
+            }
+        }
+    });
+}
+
+/// The voxels' boxes as a pixel's ray meets them.
+struct Boxes {
+    /// The eye in level-0 voxels: whole, and rest.
+    eye: [i32; 3],
+    fract: [f32; 3],
+}
+
+impl Boxes {
+    /// Depth at which a ray (inverse components given) enters a voxel, at least 0; `None` where it misses it.
+    #[inline(always)]
+    fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> Option<f32> {
+        let l = voxel[3];
+        let (mut near, mut far) = (0.0f32, f32::INFINITY);
+        for axis in 0..3 {
+            let from = (voxel[axis] << l).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
+            let to = from + (1 << l) as f32;
+            let (a, b) = (from * inverse[axis], to * inverse[axis]);
+            near = near.max(a.min(b));
+            far = far.min(a.max(b));
+        }
+        // Rounding must not let a ray slip between two voxels.
+        (near <= far * (1.0 + 1e-6)).then_some(near)
+    }
+}
+
+/// Like [`remap`], but each pixel tests the voxels of the samples around its place against its own ray: it takes the
+/// nearest plane's if the ray meets it, else the nearest that it does meet among the two nearest planes' samples beside
+/// it. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`]; the voxel of
+/// each pixel goes to `voxel` unless that is empty, in the same form.
+pub fn remap_retest(
+    setup: &Setup,
+    buffer: &PlaneBuffer,
+    camera: &Camera,
+    color: &mut [u32],
+    depth: &mut [f32],
+    voxel: &mut [[i32; 4]],
+) {
+    let (width, w) = (camera.width, camera.width as usize);
+    let basis = camera.basis();
+    let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
+    let tasks: Vec<_> = if voxel.is_empty() {
+        color.chunks_mut(w).zip(depth.chunks_mut(w)).map(|(c, d)| (c, d, &mut [][..])).collect()
+    } else {
+        let rows = color.chunks_mut(w).zip(depth.chunks_mut(w)).zip(voxel.chunks_mut(w));
+        rows.map(|((c, d), v)| (c, d, v)).collect()
+    };
+    tasks.into_par_iter().enumerate().with_min_len(ROWS_A_TASK).for_each(|(r, (color, depth, voxel))| {
+        let row = Row::new(setup, r as u32, width);
+        let start = camera.ray(&basis, 0.5, r as f64 + 0.5);
+        let step = (camera.ray(&basis, f64::from(width) + 0.5, r as f64 + 0.5) - start) / f64::from(width);
+        for stretch in row.stretches() {
+            let fan = &setup.fans[stretch.fan];
+            row.gather(stretch, |x, place| {
+                let ray = start + step * x as f64;
+                // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
+                let inverse = ray.to_array().map(|d| if d.abs() < 1e-30 { 1e30 } else { (1.0 / d) as f32 });
+                let own = fan.index(place.plane, place.sample);
+                let mut chosen = own;
+                let mut z = buffer.depth[own];
+                let own_voxel = buffer.voxel[own];
+                let hit = if own_voxel == SKY { None } else { boxes.enter(own_voxel, inverse) };
+                if let Some(near) = hit {
+                    z = near;
+                } else {
+                    let (found, near) = retest(setup, fan, buffer, &boxes, place, inverse, own);
+                    (chosen, z) = (found, near.unwrap_or(buffer.depth[found]));
+                }
+                color[x] = buffer.color[chosen];
+                depth[x] = z;
+                if let Some(v) = voxel.get_mut(x) {
+                    *v = buffer.voxel[chosen];
+                }
+            });
+        }
+    });
+}
+
+/// The best sample around a place whose own sample the ray does not meet, and the depth at which the ray meets it: the
+/// nearest one met; else one that shows the sky; else the own one.
+#[cold]
+fn retest(
+    setup: &Setup,
+    fan: &Fan,
+    buffer: &PlaneBuffer,
+    boxes: &Boxes,
+    place: Place,
+    inverse: [f32; 3],
+    own: usize,
+) -> (usize, Option<f32>) {
+    let second = if place.at < fan.place(place.plane).0 {
+        place.plane.saturating_sub(1)
+    } else {
+        (place.plane + 1).min(fan.n_planes - 1)
+    };
+    let mut best: Option<(usize, f32)> = None;
+    let mut sky = (buffer.voxel[own] == SKY).then_some(own);
+    for k in [place.plane, second] {
+        let plane = &setup.planes[(fan.first_plane + k) as usize];
+        for sample in place.sample.saturating_sub(1)..=place.sample + 1 {
+            if !(plane.first..plane.end).contains(&sample) {
+                continue;
+            }
+            let i = fan.index(k, sample);
+            let voxel = buffer.voxel[i];
+            if voxel == SKY {
+                sky = sky.or(Some(i));
+            } else if let Some(near) = boxes.enter(voxel, inverse)
+                && best.is_none_or(|(_, z)| near < z)
+            {
+                best = Some((i, near));
+            }
+        }
+    }
+    match (best, sky) {
+        (Some((i, near)), _) => (i, Some(near)),
+        (None, Some(i)) => (i, None),
+        (None, None) => (own, None),
+    }
+}
+
+/// Which sample of the plane buffer each pixel takes; [`HOLE`] where no plane passes within half a pixel.
+pub fn remap_index(setup: &Setup, width: u32, index: &mut [u32]) {
+    index.par_chunks_mut(width as usize).enumerate().for_each(|(r, out)| {
+        let row = Row::new(setup, r as u32, width);
+        for stretch in row.stretches() {
+            let fan = &setup.fans[stretch.fan];
+            row.gather(stretch, |x, place| {
+                let covered = row.covered(stretch, x, place);
+                out[x] = if covered { fan.index(place.plane, place.sample) as u32 } else { HOLE };
+            });
+        }
+    });
+}

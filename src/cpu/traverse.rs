@@ -1,0 +1,806 @@
+//! Stage `traverse`: each plane walks its columns near to far and draws their runs as spans into its samples.
+//!
+//! **Walk.** Amanatides & Woo 1987 in the horizontal grid; crossing parameters are computed anew from the integer cell at
+//! each step, never summed up. Blocks of 8 × 8 columns whose height bounds lie outside the window are jumped over. At
+//! a change of level the cell numbers are halved and the walk goes on from the same `t`, so nothing is drawn twice.
+//!
+//! **Draw.** Over `t0 ..= t1` a run between heights `h0` and `h1` shows up to three faces, which meet in sample space
+//! exactly: bottom (`h0 > 0`) from `(t1, h0)` to `(t0, h0)`, front to `(t0, h1)`, top (`h1 < 0`) to `(t1, h1)`. A span
+//! owns the samples whose centres lie in it, half-open, so neighbours neither overlap nor leave cracks. Points outside
+//! the plane's own window are clipped by comparing `h` with `slope · t`, before any division.
+//!
+//! **Cull.** See [`Culling`]. All tests that reject are half a sample looser than the test that draws, so that no
+//! combination of switches changes a picture.
+
+use crate::options::Culling;
+use crate::plane_setup::{Plane, Setup};
+use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, exposed_color};
+use planecast_encoder::Run;
+use rayon::prelude::*;
+
+/// The number type of a walk: f32 as on the GPU, or f64.
+pub trait Real:
+    Copy
+    + PartialOrd
+    + Send
+    + Sync
+    + std::ops::Add<Output = Self>
+    + std::ops::Sub<Output = Self>
+    + std::ops::Mul<Output = Self>
+    + std::ops::Div<Output = Self>
+    + 'static
+{
+    const ZERO: Self;
+    const HALF: Self;
+    /// Steeper than any slope between voxels, and safe to multiply with any distance.
+    const STEEP: Self;
+    const TINY: Self;
+    fn from_f64(v: f64) -> Self;
+    fn from_i32(v: i32) -> Self;
+    fn floor_i32(self) -> i32;
+    fn ceil_i32(self) -> i32;
+    fn to_f32(self) -> f32;
+    fn min(self, other: Self) -> Self {
+        if other < self { other } else { self }
+    }
+    fn max(self, other: Self) -> Self {
+        if other > self { other } else { self }
+    }
+}
+
+macro_rules! real {
+    ($t:ty) => {
+        impl Real for $t {
+            const ZERO: $t = 0.0;
+            const HALF: $t = 0.5;
+            const STEEP: $t = 1e18;
+            const TINY: $t = 1e-30;
+            #[inline(always)]
+            fn from_f64(v: f64) -> $t {
+                v as $t
+            }
+            #[inline(always)]
+            fn from_i32(v: i32) -> $t {
+                v as $t
+            }
+            // Not `floor()`: without SSE 4.1 that is a library call.
+            #[inline(always)]
+            fn floor_i32(self) -> i32 {
+                let i = self as i32;
+                i - i32::from(i as $t > self)
+            }
+            #[inline(always)]
+            fn ceil_i32(self) -> i32 {
+                let i = self as i32;
+                i + i32::from((i as $t) < self)
+            }
+            #[inline(always)]
+            fn to_f32(self) -> f32 {
+                self as f32
+            }
+        }
+    };
+}
+real!(f32);
+real!(f64);
+
+/// What planes draw into: one entry a sample, plane by plane as [`Plane::base`] says.
+#[derive(Default)]
+pub struct PlaneBuffer {
+    /// Packed sRGB; 0 for sky.
+    pub color: Vec<u32>,
+    /// Along the camera's forward axis; +inf for sky.
+    pub depth: Vec<f32>,
+    /// x, y, z of the voxel in its level's cells relative to the reduced world, and the level; empty unless wanted.
+    pub voxel: Vec<[i32; 4]>,
+}
+
+/// No voxel.
+pub const SKY: [i32; 4] = [-1; 4];
+
+/// Work done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    pub columns_visited: u64,
+    pub runs_visited: u64,
+    pub spans_drawn: u64,
+}
+
+impl std::ops::AddAssign for Counters {
+    fn add_assign(&mut self, other: Counters) {
+        self.columns_visited += other.columns_visited;
+        self.runs_visited += other.runs_visited;
+        self.spans_drawn += other.spans_drawn;
+    }
+}
+
+/// Planes that one task walks. Small, since neighbouring planes cost alike and far ones do not; large enough that a
+/// task's planes share the columns they load.
+const PLANES_A_TASK: usize = 8;
+
+/// Walks all planes of a frame. `buffer` is resized to fit.
+pub fn traverse<R: Real>(
+    resident: &Resident,
+    setup: &Setup,
+    culling: Culling,
+    buffer: &mut PlaneBuffer,
+    voxels: bool,
+) -> Counters {
+    buffer.color.resize(setup.samples, 0);
+    buffer.depth.resize(setup.samples, f32::INFINITY);
+    buffer.voxel.resize(if voxels { setup.samples } else { 0 }, SKY);
+
+    struct Task<'a> {
+        planes: &'a [Plane],
+        color: &'a mut [u32],
+        depth: &'a mut [f32],
+        voxel: &'a mut [[i32; 4]],
+    }
+    let mut tasks = Vec::with_capacity(setup.planes.len() / PLANES_A_TASK + 4);
+    let (mut color, mut depth, mut voxel) =
+        (buffer.color.as_mut_slice(), buffer.depth.as_mut_slice(), buffer.voxel.as_mut_slice());
+    for fan in &setup.fans {
+        let planes = &setup.planes[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
+        for planes in planes.chunks(PLANES_A_TASK) {
+            let n = planes.len() * fan.n_samples as usize;
+            let (c, d, v);
+            (c, color) = color.split_at_mut(n);
+            (d, depth) = depth.split_at_mut(n);
+            (v, voxel) = voxel.split_at_mut(if voxels { n } else { 0 });
+            tasks.push(Task { planes, color: c, depth: d, voxel: v });
+        }
+    }
+    let tasks = tasks.into_par_iter().with_max_len(1);
+    let run = |task: Task<'_>| {
+        let n = task.color.len() / task.planes.len();
+        let mut counters = Counters::default();
+        let mut scratch = Scratch::default();
+        for (k, plane) in task.planes.iter().enumerate() {
+            let at = k * n..(k + 1) * n;
+            let color = &mut task.color[at.clone()];
+            let depth = &mut task.depth[at.clone()];
+            let voxel = if voxels { &mut task.voxel[at] } else { &mut [][..] };
+            counters += traverse_one::<R>(resident, setup, plane, culling, &mut scratch, color, depth, voxel);
+        }
+        counters
+    };
+    tasks.map(run).reduce(Counters::default, |mut a, b| {
+        a += b;
+        a
+    })
+}
+
+/// Memory that a task's planes share one after the other.
+#[derive(Default)]
+struct Scratch {
+    open: Vec<u64>,
+    skip: Vec<u32>,
+}
+
+#[expect(clippy::too_many_arguments, reason = "one plane's inputs and outputs")]
+fn traverse_one<R: Real>(
+    resident: &Resident,
+    setup: &Setup,
+    plane: &Plane,
+    culling: Culling,
+    scratch: &mut Scratch,
+    color: &mut [u32],
+    depth: &mut [f32],
+    voxel: &mut [[i32; 4]],
+) -> Counters {
+    macro_rules! walk {
+        ($voxel:literal, $fast:literal) => {{
+            let mut walk = Walk::<R, $voxel, $fast>::new(resident, setup, plane, culling, scratch, color, depth, voxel);
+            walk.run();
+            walk.finish()
+        }};
+    }
+    match (voxel.is_empty(), culling == Culling::ALL) {
+        (true, true) => walk!(false, true),
+        (true, false) => walk!(false, false),
+        (false, true) => walk!(true, true),
+        (false, false) => walk!(true, false),
+    }
+}
+
+/// Faces of a run, as drawn.
+#[derive(Clone, Copy)]
+enum Face {
+    Bottom,
+    Front,
+    Top,
+}
+
+/// A run about to be drawn.
+#[derive(Clone, Copy)]
+struct Drawn<R> {
+    run: Run,
+    /// Which run of its column, from the top down.
+    k: u32,
+    /// Column number in the level's tables.
+    column: usize,
+    h0: R,
+    h1: R,
+    t0: R,
+}
+
+/// One plane on its way. `FAST` stands for [`Culling::ALL`], so that the compiler drops the switches.
+struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
+    resident: &'a Resident,
+    setup: &'a Setup,
+    plane: &'a Plane,
+    culling: Culling,
+    a: R,
+    b: R,
+    c: R,
+    e: R,
+    delta: R,
+    eye_y: i32,
+    fract_y: R,
+    /// The plane's own window: samples, and the slopes at its ends.
+    first: i32,
+    end: i32,
+    s_first: R,
+    s_end: R,
+    /// The open window within it.
+    lo: i32,
+    hi: i32,
+    s_lo: R,
+    s_hi: R,
+    /// The center segment and the slopes at its ends; empty where equal.
+    center: [i32; 2],
+    s_center: [R; 2],
+    /// Unfilled samples left, where `lo` and `hi` do not tell.
+    left: i32,
+    /// One bit a sample, set while it is unfilled.
+    open: &'a mut [u64],
+    /// For a filled sample, one that may be unfilled, or a step towards it.
+    skip: &'a mut [u32],
+    color: &'a mut [u32],
+    depth: &'a mut [f32],
+    voxel: &'a mut [[i32; 4]],
+    /// Level and column of the run being drawn.
+    level: u32,
+    cell: [i32; 2],
+    counters: Counters,
+}
+
+impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> {
+    #[expect(clippy::too_many_arguments, reason = "one plane's inputs and outputs")]
+    fn new(
+        resident: &'a Resident,
+        setup: &'a Setup,
+        plane: &'a Plane,
+        culling: Culling,
+        scratch: &'a mut Scratch,
+        color: &'a mut [u32],
+        depth: &'a mut [f32],
+        voxel: &'a mut [[i32; 4]],
+    ) -> Self {
+        let n = color.len();
+        scratch.open.clear();
+        scratch.open.resize(n.div_ceil(64), 0);
+        for j in plane.first as usize / 64..(plane.end as usize).div_ceil(64) {
+            let from = (plane.first as usize).saturating_sub(64 * j).min(64);
+            let to = (plane.end as usize - 64 * j).min(64);
+            scratch.open[j] = low_bits(to) & !low_bits(from);
+        }
+        scratch.skip.clear();
+        if !FAST {
+            scratch.skip.extend(0..=n as u32);
+            depth[plane.first as usize..plane.end as usize].fill(f32::INFINITY);
+        }
+        let mut walk = Walk {
+            resident,
+            setup,
+            plane,
+            culling,
+            a: R::from_f64(plane.a),
+            b: R::from_f64(plane.b),
+            c: R::from_f64(plane.c),
+            e: R::from_f64(plane.e),
+            delta: R::from_f64(plane.b * plane.c - plane.a * plane.e),
+            eye_y: setup.eye_cell[1],
+            fract_y: R::from_f64(setup.eye_fract[1]),
+            first: plane.first as i32,
+            end: plane.end as i32,
+            s_first: R::ZERO,
+            s_end: R::ZERO,
+            lo: plane.first as i32,
+            hi: plane.end as i32,
+            s_lo: R::ZERO,
+            s_hi: R::ZERO,
+            center: [0; 2],
+            s_center: [R::ZERO; 2],
+            left: plane.end as i32 - plane.first as i32,
+            open: &mut scratch.open,
+            skip: &mut scratch.skip,
+            color,
+            depth,
+            voxel,
+            level: 0,
+            cell: [0; 2],
+            counters: Counters::default(),
+        };
+        walk.s_first = walk.edge_slope(walk.first);
+        walk.s_end = walk.edge_slope(walk.end);
+        (walk.s_lo, walk.s_hi) = (walk.s_first, walk.s_end);
+        walk
+    }
+
+    /// Slope of the sight line between samples `j − 1` and `j`.
+    #[inline(always)]
+    fn edge_slope(&self, j: i32) -> R {
+        let u = R::from_i32(j);
+        let (t, h) = (self.b - u * self.e, u * self.c - self.a);
+        let steep = if h < R::ZERO { R::ZERO - R::STEEP } else { R::STEEP };
+        if t > R::ZERO { (h / t).min(R::STEEP).max(R::ZERO - R::STEEP) } else { steep }
+    }
+
+    /// Height above the eye of the face below voxel `y` of level 0.
+    #[inline(always)]
+    fn height(&self, y: u32) -> R {
+        R::from_i32(y as i32 - self.eye_y) - self.fract_y
+    }
+
+    /// The heights that may show between `t0` and `t1`.
+    #[inline(always)]
+    fn visible(&self, t0: R, t1: R) -> (R, R) {
+        let lo = self.s_lo * if self.s_lo > R::ZERO { t0 } else { t1 };
+        let hi = self.s_hi * if self.s_hi > R::ZERO { t1 } else { t0 };
+        (lo, hi)
+    }
+
+    /// The first sample whose centre is at or above point `(t, h)`, within the plane's own window.
+    #[inline(always)]
+    fn sample(&self, t: R, h: R) -> i32 {
+        if h <= self.s_first * t {
+            return self.first;
+        }
+        if h >= self.s_end * t {
+            return self.end;
+        }
+        let u = (self.a * t + self.b * h) / (self.c * t + self.e * h);
+        (u - R::HALF).ceil_i32().clamp(self.first, self.end)
+    }
+
+    #[inline(always)]
+    fn closed(&self) -> bool {
+        self.lo >= self.hi || (!FAST && self.left == 0)
+    }
+
+    /// Walks the plane until its window is closed or its world ends.
+    fn run(&mut self) {
+        let plane = self.plane;
+        let setup = self.setup;
+        let dir = plane.dir.map(R::from_f64);
+        let inverse = plane.dir.map(|d| R::from_f64(if d == 0.0 { f64::from(f32::MAX) } else { 1.0 / d }));
+        let fract = [R::from_f64(setup.eye_fract[0]), R::from_f64(setup.eye_fract[2])];
+        let eye = [setup.eye_cell[0], setup.eye_cell[2]];
+        let step = plane.dir.map(|d| if d < 0.0 { -1 } else { 1 });
+        let ahead = step.map(|s| i32::from(s > 0));
+        // Where the plane crosses the grid line at cell number `line` of level 0; never, if it runs along it.
+        let cross = |axis: usize, line: i32| -> R {
+            if plane.dir[axis] == 0.0 {
+                return R::STEEP;
+            }
+            (R::from_i32(line.wrapping_sub(eye[axis])) - fract[axis]) * inverse[axis]
+        };
+        let (mut t0, t_end) = (R::from_f64(plane.t_start), R::from_f64(plane.t_end.min(1e17)));
+        let mut l = plane.lod_first;
+        let mut cell = plane.cell.map(|c| c >> l);
+        let equidistant = R::from_f64(setup.equidistant.min(1e17));
+
+        while l < setup.levels {
+            let level = &self.resident.levels[l as usize];
+            self.level = l;
+            let size = [level.nx as i32, level.nz as i32];
+            let next_level = if l + 1 < setup.levels {
+                R::from_f64((plane.lod_t * f64::from(1u32 << (l + 1))).min(1e17))
+            } else {
+                R::STEEP
+            };
+            let (bottom, top) = (self.height(level.bottom << l), self.height(level.top << l));
+            loop {
+                if t0 >= t_end || self.closed() {
+                    return;
+                }
+                if t0 >= next_level {
+                    break;
+                }
+                // Nothing left can come into the window.
+                if (FAST || self.culling.coarse)
+                    && ((self.s_lo > R::ZERO && self.s_lo * t0 >= top)
+                        || (self.s_hi < R::ZERO && self.s_hi * t0 <= bottom))
+                {
+                    return;
+                }
+                if t0 >= equidistant {
+                    t0 = self.slice(level, l, t0, t_end, &mut cell, dir, cross);
+                    continue;
+                }
+
+                // The block of columns that `cell` lies in, cut off where the world repeats.
+                let wrapped = [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])];
+                let mut stop = [0; 2];
+                for axis in 0..2 {
+                    let w = wrapped[axis];
+                    stop[axis] = cell[axis]
+                        + if step[axis] > 0 {
+                            ((w | ((1 << BLOCK_SHIFT) - 1)) + 1).min(size[axis]) - w
+                        } else {
+                            -(w & ((1 << BLOCK_SHIFT) - 1)) - 1
+                        };
+                }
+                let block_row = (level.nx as usize).div_ceil(1 << BLOCK_SHIFT);
+                let block = (wrapped[1] as usize >> BLOCK_SHIFT) * block_row + (wrapped[0] as usize >> BLOCK_SHIFT);
+                let bounds = Run(level.blocks[block]);
+                let stop_line = |axis: usize| (stop[axis] + 1 - ahead[axis]) << l;
+                let exit = [cross(0, stop_line(0)), cross(1, stop_line(1))];
+                let t_exit = exit[0].min(exit[1]);
+                if FAST || self.culling.coarse {
+                    let (lo, hi) = self.visible(t0, t_exit.min(t_end));
+                    if bounds.0 == EMPTY
+                        || self.height(bounds.end() << l) <= lo
+                        || self.height(u32::from(bounds.first()) << l) >= hi
+                    {
+                        let axis = usize::from(exit[1] < exit[0]);
+                        let other = 1 - axis;
+                        cell[axis] = stop[axis];
+                        // In the other axis the cell that stepping would have come to: estimated, then put right.
+                        let passed = |line: i32| {
+                            let t = cross(other, line << l);
+                            if other == 0 { t <= t_exit } else { t < t_exit }
+                        };
+                        let at = (fract[other] + t_exit * dir[other]).floor_i32().wrapping_add(eye[other]) >> l;
+                        let (from, to) = (cell[other], stop[other] - step[other]);
+                        let mut at = at.clamp(from.min(to), from.max(to));
+                        while at != from && !passed(at + 1 - ahead[other]) {
+                            at -= step[other];
+                        }
+                        while at != to && passed(at + ahead[other]) {
+                            at += step[other];
+                        }
+                        cell[other] = at;
+                        t0 = t0.max(t_exit);
+                        continue;
+                    }
+                }
+
+                // Column by column through the block.
+                let mut index = wrapped[1] as isize * size[0] as isize + wrapped[0] as isize;
+                let mut next = [cross(0, (cell[0] + ahead[0]) << l), cross(1, (cell[1] + ahead[1]) << l)];
+                loop {
+                    let axis = usize::from(next[1] < next[0]);
+                    let t1 = next[axis].min(t_end);
+                    if t1 > t0 {
+                        self.cell = cell;
+                        self.column(level, l, index as usize, t0, t1);
+                        t0 = t1;
+                        if self.closed() || t0 >= t_end {
+                            return;
+                        }
+                    }
+                    cell[axis] += step[axis];
+                    if cell[axis] == stop[axis] {
+                        break;
+                    }
+                    index += if axis == 0 { step[0] as isize } else { step[1] as isize * size[0] as isize };
+                    next[axis] = cross(axis, (cell[axis] + ahead[axis]) << l);
+                }
+            }
+            l += 1;
+            cell = cell.map(|c| c >> 1);
+        }
+    }
+
+    /// Equidistant traversal: one column a slice of the plane's longer axis, the one at the slice's middle. Returns the
+    /// slice's end.
+    #[expect(clippy::too_many_arguments, reason = "the walk's state")]
+    fn slice(
+        &mut self,
+        level: &'a ResidentLevel,
+        l: u32,
+        t0: R,
+        t_end: R,
+        cell: &mut [i32; 2],
+        dir: [R; 2],
+        cross: impl Fn(usize, i32) -> R,
+    ) -> R {
+        let (plane, setup) = (self.plane, self.setup);
+        let major = usize::from(plane.dir[1].abs() > plane.dir[0].abs());
+        let minor = 1 - major;
+        let step = if plane.dir[major] < 0.0 { -1 } else { 1 };
+        let t1 = cross(major, (cell[major] + i32::from(step > 0)) << l).min(t_end).max(t0);
+        let middle = (t0 + t1) * R::HALF;
+        let along = R::from_f64(setup.eye_fract[2 * minor]) + middle * dir[minor];
+        cell[minor] = along.floor_i32().wrapping_add(setup.eye_cell[2 * minor]) >> l;
+        let (nx, nz) = (level.nx as i32, level.nz as i32);
+        // A slice's middle can lie beside a world that the slice still touches.
+        let inside = |axis: usize, n: i32| setup.repeats[axis] || (0..n).contains(&cell[axis]);
+        if t1 > t0 && inside(0, nx) && inside(1, nz) {
+            let index = cell[1].rem_euclid(nz) as usize * nx as usize + cell[0].rem_euclid(nx) as usize;
+            self.cell = *cell;
+            self.column(level, l, index, t0, t1);
+        }
+        cell[major] += step;
+        t1
+    }
+
+    /// Looks at one column between `t0` and `t1`.
+    #[inline(always)]
+    fn column(&mut self, level: &'a ResidentLevel, l: u32, column: usize, t0: R, t1: R) {
+        self.counters.columns_visited += 1;
+        let [top, more] = level.columns[column];
+        let (lo, hi) = self.visible(t0, t1);
+        let top = Run(top);
+        if self.height(top.end() << l) <= lo || top.0 == EMPTY {
+            return;
+        }
+        self.runs(level, l, column, top, more, t0, t1, lo, hi);
+    }
+
+    /// Draws the runs of one column that may show between heights `lo` and `hi`, from the top down.
+    #[expect(clippy::too_many_arguments, reason = "what `column` knows already")]
+    fn runs(
+        &mut self,
+        level: &'a ResidentLevel,
+        l: u32,
+        column: usize,
+        mut run: Run,
+        more: u32,
+        t0: R,
+        t1: R,
+        mut lo: R,
+        mut hi: R,
+    ) {
+        let rest: &[u32] = match more as usize {
+            0 => &[],
+            at => &level.runs[at + 1..at + 1 + level.runs[at] as usize],
+        };
+        let mut k = 0;
+        loop {
+            self.counters.runs_visited += 1;
+            let (h0, h1) = (self.height(u32::from(run.first()) << l), self.height(run.end() << l));
+            if h1 <= lo {
+                return;
+            }
+            if h0 < hi {
+                // Slopes of the run's ends: its highest and its lowest place in the window.
+                let inside = (FAST || self.culling.center)
+                    && self.center[1] > self.center[0]
+                    && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
+                    && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 };
+                if !inside {
+                    self.draw(level, l, t1, Drawn { run, k, column, h0, h1, t0 });
+                    if self.closed() {
+                        return;
+                    }
+                    (lo, hi) = self.visible(t0, t1);
+                }
+            } else if k == 0 && rest.len() > 8 {
+                // All above the window: binary search for the first run that reaches down into it.
+                let above = rest.partition_point(|&r| self.height(u32::from(Run(r).first()) << l) >= hi);
+                k = above as u32;
+            }
+            match rest.get(k as usize) {
+                Some(&r) => run = Run(r),
+                None => return,
+            }
+            k += 1;
+        }
+    }
+
+    fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
+        let Drawn { h0, h1, t0, .. } = d;
+        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0).max(self.lo);
+        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1).min(self.hi);
+        if j0 >= j1 {
+            return;
+        }
+        self.counters.spans_drawn += 1;
+        let f0 = if h0 > R::ZERO { self.sample(t0, h0).clamp(j0, j1) } else { j0 };
+        let f1 = if h1 < R::ZERO { self.sample(t0, h1).clamp(f0, j1) } else { j1 };
+        if j0 < f0 {
+            self.fill(level, l, Face::Bottom, d, j0, f0);
+        }
+        if f0 < f1 {
+            self.fill(level, l, Face::Front, d, f0, f1);
+        }
+        if f1 < j1 {
+            self.fill(level, l, Face::Top, d, f1, j1);
+        }
+        self.cull(j0, j1);
+    }
+
+    /// Draws one face into the unfilled samples of `from .. to`.
+    #[inline(always)]
+    fn fill(&mut self, level: &'a ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: i32, to: i32) {
+        if FAST || (self.culling.bits && self.culling.forward) {
+            let (from, to) = (from as usize, to as usize);
+            for w in from / 64..=(to - 1) / 64 {
+                let mask = low_bits((to - 64 * w).min(64)) & !low_bits(from.saturating_sub(64 * w).min(64));
+                let mut open = self.open[w] & mask;
+                if open == 0 {
+                    continue;
+                }
+                self.open[w] &= !mask;
+                if !FAST {
+                    self.left -= open.count_ones() as i32;
+                }
+                while open != 0 {
+                    let start = open.trailing_zeros() as usize;
+                    let n = (!(open >> start)).trailing_zeros() as usize;
+                    self.emit(level, l, face, d, 64 * w + start, 64 * w + start + n);
+                    open &= !low_bits(start + n);
+                }
+            }
+            return;
+        }
+        let mut j = from as usize;
+        while j < to as usize {
+            if self.is_open(j) {
+                self.open[j / 64] &= !(1 << (j % 64));
+                self.skip[j] = j as u32 + 1;
+                self.left -= 1;
+                self.emit(level, l, face, d, j, j + 1);
+                j += 1;
+            } else if self.culling.forward {
+                j = self.next_open(j);
+            } else {
+                j += 1;
+            }
+        }
+    }
+
+    fn is_open(&self, j: usize) -> bool {
+        if FAST || self.culling.bits { self.open[j / 64] >> (j % 64) & 1 == 1 } else { self.depth[j] == f32::INFINITY }
+    }
+
+    /// The first unfilled sample from the filled sample `j` on: shear-warp's forwarding, with paths shortened on the way.
+    fn next_open(&mut self, j: usize) -> usize {
+        let mut end = j;
+        while self.skip[end] as usize != end {
+            end = self.skip[end] as usize;
+        }
+        let mut at = j;
+        while at != end {
+            at = std::mem::replace(&mut self.skip[at], end as u32) as usize;
+        }
+        end
+    }
+
+    /// Writes samples `from .. to`, all unfilled until now.
+    #[inline(always)]
+    fn emit(&mut self, level: &'a ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
+        let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
+        let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
+        if let Face::Front = face {
+            let exposed = match &level.paint {
+                Paint::None => Exposed::One(UNPAINTED),
+                Paint::Run { base, colors } => Exposed::One(colors[(base[d.column] + d.k) as usize]),
+                Paint::Voxel { base, exposed, colors } => {
+                    Exposed::Runs(&exposed[base[d.column] as usize..base[d.column + 1] as usize], colors)
+                }
+            };
+            for j in from..to {
+                let u = R::from_i32(j as i32);
+                let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
+                // At the vanishing point itself a front face would be infinitely high: t is kept off zero there.
+                let q = d.t0 / t.max(R::TINY);
+                self.depth[j] = (self.delta * q).to_f32().min(f32::MAX);
+                let y = (h * q + self.fract_y).floor_i32().wrapping_add(self.eye_y) >> l;
+                let y = (y.max(0) as u32).clamp(first, last);
+                self.color[j] = match exposed {
+                    Exposed::One(c) => c,
+                    Exposed::Runs(runs, colors) => exposed_color(runs, y).map_or(UNPAINTED, |at| colors[at as usize]),
+                };
+                if VOXEL {
+                    self.voxel[j] = [self.cell[0], y as i32, self.cell[1], l as i32];
+                }
+            }
+        } else {
+            let (h, y) = if let Face::Top = face { (d.h1, last) } else { (d.h0, first) };
+            let depth = self.delta * h;
+            let color = level.paint.color(d.column, d.k, y);
+            for j in from..to {
+                let u = R::from_i32(j as i32);
+                self.depth[j] = (depth / (ray_h + u * self.c)).to_f32().clamp(0.0, f32::MAX);
+                self.color[j] = color;
+                if VOXEL {
+                    self.voxel[j] = [self.cell[0], y as i32, self.cell[1], l as i32];
+                }
+            }
+        }
+    }
+
+    /// Takes note that samples `j0 .. j1` are filled.
+    #[inline(always)]
+    fn cull(&mut self, j0: i32, j1: i32) {
+        if FAST || self.culling.horizon {
+            if j0 <= self.lo {
+                self.lo = self.first_open(j1);
+                self.s_lo = self.edge_slope(self.lo);
+            }
+            if j1 >= self.hi && self.lo < self.hi {
+                self.hi = self.last_open(j0) + 1;
+                self.s_hi = self.edge_slope(self.hi);
+            }
+        }
+        if (FAST || self.culling.center) && j0 > self.lo && j1 < self.hi {
+            let [from, to] = self.center;
+            let merged = if j0 <= to && j1 >= from && to > from { [from.min(j0), to.max(j1)] } else { [j0, j1] };
+            if merged[1] - merged[0] > to - from {
+                self.center = merged;
+                self.s_center = merged.map(|j| self.edge_slope(j));
+            }
+        }
+    }
+
+    /// The first unfilled sample from `j` on, `hi` if there is none.
+    fn first_open(&mut self, j: i32) -> i32 {
+        let mut j = j;
+        if FAST || self.culling.bits {
+            while j < self.hi {
+                let w = j as usize / 64;
+                let open = self.open[w] & !low_bits(j as usize % 64);
+                if open != 0 {
+                    return (64 * w as i32 + open.trailing_zeros() as i32).min(self.hi);
+                }
+                j = 64 * (w as i32 + 1);
+            }
+            return self.hi;
+        }
+        while j < self.hi && !self.is_open(j as usize) {
+            j += 1;
+        }
+        j
+    }
+
+    /// The last unfilled sample before `j`, `lo − 1` if there is none.
+    fn last_open(&mut self, j: i32) -> i32 {
+        let mut j = j - 1;
+        if FAST || self.culling.bits {
+            while j >= self.lo {
+                let w = j as usize / 64;
+                let open = self.open[w] & low_bits(j as usize % 64 + 1);
+                if open != 0 {
+                    return (64 * w as i32 + 63 - open.leading_zeros() as i32).max(self.lo - 1);
+                }
+                j = 64 * w as i32 - 1;
+            }
+            return self.lo - 1;
+        }
+        while j >= self.lo && !self.is_open(j as usize) {
+            j -= 1;
+        }
+        j
+    }
+
+    /// What is still unfilled shows the sky.
+    fn finish(self) -> Counters {
+        for j in self.first as usize..self.end as usize {
+            if self.open[j / 64] >> (j % 64) & 1 == 1 {
+                self.color[j] = 0;
+                self.depth[j] = f32::INFINITY;
+                if VOXEL {
+                    self.voxel[j] = SKY;
+                }
+            }
+        }
+        self.counters
+    }
+}
+
+/// Where the colours of a front face come from.
+#[derive(Clone, Copy)]
+enum Exposed<'a> {
+    One(u32),
+    Runs(&'a [[u32; 2]], &'a [u32]),
+}
+
+/// The lowest `n` bits, 0 to 64.
+#[inline(always)]
+fn low_bits(n: usize) -> u64 {
+    if n >= 64 { !0 } else { (1 << n) - 1 }
+}

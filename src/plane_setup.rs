@@ -1,0 +1,516 @@
+//! Stage `plane_setup`: from a camera to the planes that are cast.
+//!
+//! A plane holds the eye's vertical axis and one azimuth. Its points are `eye + t·d + h·up` with `d` horizontal and
+//! of length 1, `t ≥ 0`. All planes meet the screen in lines through the *vanishing point* of the vertical. Around it
+//! stand up to four *fans*, one towards each screen edge, split at 45°; within a fan the planes are spaced along the
+//! fan's far edge, and a plane's *samples* are one pixel apart along the axis that its line follows most.
+//! (Forstmann & Ohya 2009 §3.2; deviates: fans are split at 45° and not at the screen's corners, so that samples are
+//! never more than √2 pixels apart and a level view has exactly one plane a pixel column.)
+//!
+//! On the line of a plane the place of a point is `u = (A·t + B·h) / (C·t + E·h)`, in samples: sample `j` has its
+//! centre at `j + ½`. `u` grows with the slope `h/t` (samples are numbered so). The direction through place `u` is
+//! `(t, h) ∝ (B − u·E, u·C − A)`, which has depth `Δ = B·C − A·E > 0`.
+//!
+//! Everything here is computed once a frame in f64 and handed to every kernel as the same numbers.
+
+use crate::camera::{Basis, Camera};
+use crate::options::{Options, Planes};
+use crate::resident::Resident;
+use glam::DVec3;
+
+/// View distance of a repeated world if none is given, in voxels (the paper's).
+pub const REPEATED_VIEW_DISTANCE: f64 = 40_000.0;
+
+/// The eye may stand this far from the origin along an axis that does not repeat, and above or below the world.
+pub const EYE_LIMIT: f64 = (1 << 30) as f64;
+
+/// Everything about a frame that all its planes share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setup {
+    pub planes: Vec<Plane>,
+    /// Up, down, left, right.
+    pub fans: [Fan; 4],
+    /// The vanishing point in pixels, homogeneous `(x, y, w)`, `w ≥ 0`.
+    pub vanishing: [f64; 3],
+    /// How many planes a spacing of one pixel along each far edge takes.
+    pub planes_full: u32,
+    /// Samples of all planes together: the plane buffer's length.
+    pub samples: usize,
+    /// The voxel of level 0 that holds the eye; along a repeated axis in the first period.
+    pub eye_cell: [i32; 3],
+    /// The eye's place in that voxel, 0 ≤ · < 1.
+    pub eye_fract: [f64; 3],
+    /// What was taken off x and z to bring the eye into the first period.
+    pub period_offset: [i64; 2],
+    /// Which of x and z repeat.
+    pub repeats: [bool; 2],
+    /// Levels that may be drawn.
+    pub levels: u32,
+    /// See [`Options::equidistant`].
+    pub equidistant: f64,
+}
+
+/// Planes towards one screen edge.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Fan {
+    pub first_plane: u32,
+    pub n_planes: u32,
+    /// Samples a plane: the image's height for up and down, its width for left and right.
+    pub n_samples: u32,
+    /// Start of the fan in the plane buffer.
+    pub first_sample: usize,
+    /// Samples count against the pixel axis.
+    pub flip: bool,
+    /// The far edge: a row's y or a column's x, in pixels.
+    pub far: f64,
+    /// Where the first plane's stripe begins on the far edge, in pixels along it.
+    pub start: f64,
+    /// Width of a plane's stripe on the far edge, in pixels.
+    pub spacing: f64,
+    /// Which plane is nearest where the stripes are not all of one width; see [`Readjusted`].
+    pub readjusted: Option<Readjusted>,
+}
+
+/// The paper's readjusted spacing (Fig. 4) as a map from the far edge to plane numbers. Planes crowd towards the
+/// vanishing point and towards a fan's corners; equal mean distance over what a plane covers needs fewer of them. With
+/// `q` the tangent of a plane's angle to its fan's axis, plane `k` stands where `asinh q = start + (k + ½)·step`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Readjusted {
+    /// The vanishing point's place along the far edge, and its distance from it, in pixels.
+    pub centre: f64,
+    pub distance: f64,
+    pub start: f64,
+    pub step: f64,
+}
+
+/// One plane. `t`: horizontal distance from the eye; `h`: height above the eye; both in voxels of level 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Plane {
+    /// Azimuth, of length 1.
+    pub dir: [f64; 2],
+    /// See the module's doc.
+    pub a: f64,
+    pub b: f64,
+    pub c: f64,
+    pub e: f64,
+    /// Samples that pixels can ask for: `first .. end`.
+    pub first: u32,
+    pub end: u32,
+    /// Where the plane's samples stand in the plane buffer.
+    pub base: usize,
+    /// The part of the plane that lies in the world and the view: `t_start .. t_end`, empty where equal.
+    pub t_start: f64,
+    pub t_end: f64,
+    /// The column of level 0 at `t_start`.
+    pub cell: [i32; 2],
+    /// Level `k` may be drawn from `t = lod_t · 2^k` on, and those up to `lod_first` from the start.
+    pub lod_t: f64,
+    pub lod_first: u32,
+}
+
+pub const UP: usize = 0;
+pub const DOWN: usize = 1;
+pub const LEFT: usize = 2;
+pub const RIGHT: usize = 3;
+
+/// Whether fan `f`'s planes run along pixel columns.
+pub const fn vertical(f: usize) -> bool {
+    f == UP || f == DOWN
+}
+
+/// Planes and fans of one frame. The eye must be within [`EYE_LIMIT`] along axes that do not repeat.
+pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> Setup {
+    let basis = camera.basis();
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    let focal = camera.focal();
+
+    // Image of ±V: direction of the vertical in camera axes, projected.
+    let v = [basis.right.y, basis.up.y, basis.forward.y];
+    let mut vanishing = [w / 2.0 * v[2] + focal * v[0], h / 2.0 * v[2] - focal * v[1], v[2]];
+    if vanishing[2] < 0.0 {
+        vanishing = vanishing.map(|x| -x);
+    }
+
+    let mut fans = [Fan::default(); 4];
+    let mut widths = [None; 4];
+    for f in 0..4 {
+        let far = [0.0, h, 0.0, w][f];
+        fans[f].far = far;
+        fans[f].n_samples = if vertical(f) { camera.height } else { camera.width };
+        fans[f].spacing = 1.0;
+        widths[f] = fan_extent(f, far, vanishing, w, h);
+    }
+    let full = |e: Option<(f64, f64)>| e.map_or(0, |(lo, hi)| ((hi.ceil() - lo.floor()) as u32).max(1));
+    let planes_full: u32 = widths.iter().map(|&e| full(e)).sum();
+
+    // How many planes each fan gets, and where on the far edge they stand.
+    for f in 0..4 {
+        let Some((lo, hi)) = widths[f] else { continue };
+        let fan = &mut fans[f];
+        fan.start = lo.floor();
+        fan.n_planes = full(widths[f]);
+        if options.readjust {
+            readjust(fan, f, vanishing, (lo, hi), w, h);
+        }
+    }
+    let cast: u32 = fans.iter().map(|f| f.n_planes).sum();
+    let wanted = match options.planes {
+        Planes::Auto => cast,
+        Planes::Factor(factor) => (f64::from(cast) * factor).round().clamp(1.0, 1e6) as u32,
+        Planes::Count(n) => n,
+    };
+    if wanted != cast {
+        share_planes(&mut fans, &widths, wanted, cast);
+    }
+
+    let mut planes = Vec::with_capacity(fans.iter().map(|f| f.n_planes as usize).sum());
+    let world = World::new(resident, camera, options);
+    let mut samples = 0;
+    for f in 0..4 {
+        fans[f].first_plane = planes.len() as u32;
+        fans[f].first_sample = samples;
+        for k in 0..fans[f].n_planes {
+            let (at, stripe) = fans[f].place(k);
+            let mut plane = line(f, at, fans[f].far, camera, &basis);
+            let fan = &mut fans[f];
+            fan.flip = plane.b * plane.c - plane.a * plane.e < 0.0;
+            let n = f64::from(fan.n_samples);
+            if fan.flip {
+                (plane.a, plane.b) = (n * plane.c - plane.a, n * plane.e - plane.b);
+            }
+            (plane.first, plane.end) = window(f, at, stripe, fan, vanishing, w, h);
+            plane.base = samples;
+            samples += fan.n_samples as usize;
+            world.clip(&mut plane);
+            world.choose_levels(&mut plane, focal, options.lod);
+            planes.push(plane);
+        }
+    }
+    Setup {
+        planes,
+        fans,
+        vanishing,
+        planes_full,
+        samples,
+        eye_cell: world.eye_cell,
+        eye_fract: world.eye_fract,
+        period_offset: world.period_offset,
+        repeats: [options.repeat.x, options.repeat.z],
+        levels: world.levels,
+        equidistant: options.equidistant.unwrap_or(f64::INFINITY),
+    }
+}
+
+impl Setup {
+    /// Whether each pixel column is a plane and each pixel its sample (a level, upright camera).
+    pub fn is_pixel_columns(&self, camera: &Camera) -> bool {
+        let fan = &self.fans[if self.fans[UP].n_planes > 0 { UP } else { DOWN }];
+        self.vanishing[2] == 0.0
+            && self.planes.len() == camera.width as usize
+            && fan.n_planes == camera.width
+            && fan.spacing == 1.0
+            && camera.roll.rem_euclid(180.0) == 0.0
+    }
+}
+
+/// Range of places on the far edge that a fan's pixel centres project to from the vanishing point; `None` where no
+/// pixel lies in the fan.
+fn fan_extent(f: usize, far: f64, vanishing: [f64; 3], w: f64, h: f64) -> Option<(f64, f64)> {
+    let [vx, vy, vw] = vanishing;
+    // Distances towards the fan's edge (main) and across (side), times w: both linear in the pixel.
+    let towards = |x: f64, y: f64| -> (f64, f64) {
+        let (dx, dy) = (vx - x * vw, vy - y * vw);
+        match f {
+            UP => (dy, dx),
+            DOWN => (-dy, dx),
+            LEFT => (dx, dy),
+            _ => (-dx, dy),
+        }
+    };
+    let mut polygon = vec![(0.5, 0.5), (w - 0.5, 0.5), (w - 0.5, h - 0.5), (0.5, h - 0.5)];
+    for sign in [1.0, -1.0] {
+        let side = |p: (f64, f64)| {
+            let (main, side) = towards(p.0, p.1);
+            main - sign * side
+        };
+        let mut clipped = Vec::with_capacity(8);
+        for i in 0..polygon.len() {
+            let (p, q) = (polygon[i], polygon[(i + 1) % polygon.len()]);
+            let (gp, gq) = (side(p), side(q));
+            if gp >= 0.0 {
+                clipped.push(p);
+            }
+            if (gp >= 0.0) != (gq >= 0.0) {
+                let k = gp / (gp - gq);
+                clipped.push((p.0 + k * (q.0 - p.0), p.1 + k * (q.1 - p.1)));
+            }
+        }
+        polygon = clipped;
+    }
+    let mut extent: Option<(f64, f64)> = None;
+    for (x, y) in polygon {
+        let (main, side) = towards(x, y);
+        let along = if vertical(f) { x } else { y };
+        // A corner that is the vanishing point itself belongs to every azimuth; the other corners span them.
+        let at = if main > 0.0 {
+            let across = if vertical(f) { far - y } else { far - x };
+            let slope = if f == UP || f == LEFT { side / main } else { -side / main };
+            along + across * slope.clamp(-1.0, 1.0)
+        } else {
+            along
+        };
+        extent = Some(extent.map_or((at, at), |(lo, hi)| (lo.min(at), hi.max(at))));
+    }
+    extent
+}
+
+/// Spreads `wanted` planes over the fans in the ratio in which `cast` planes were spread, at least one each.
+fn share_planes(fans: &mut [Fan; 4], extents: &[Option<(f64, f64)>; 4], wanted: u32, cast: u32) {
+    let wanted = wanted.max(fans.iter().filter(|f| f.n_planes > 0).count() as u32);
+    let (mut left, mut from) = (wanted, cast);
+    for (fan, extent) in fans.iter_mut().zip(extents) {
+        let Some((lo, hi)) = *extent else { continue };
+        let after = from - fan.n_planes;
+        let share = (f64::from(left) * f64::from(fan.n_planes) / f64::from(from)).round() as u32;
+        let share = share.clamp(1, left.saturating_sub(u32::from(after > 0)).max(1));
+        from -= fan.n_planes;
+        left = left.saturating_sub(share);
+        match &mut fan.readjusted {
+            Some(r) => r.step *= f64::from(fan.n_planes) / f64::from(share),
+            None => {
+                fan.start = (lo - 0.5).min(hi - 0.5);
+                fan.spacing = (hi - lo + 1.0) / f64::from(share);
+            }
+        }
+        fan.n_planes = share;
+    }
+}
+
+/// Puts the paper's readjusted spacing on a fan: see [`Readjusted`]. A fan whose near end is `ρ` times as wide as its
+/// far end has a mean stripe of `⅔·(1 + ρ + ρ²)/(1 + ρ)` times the far one; the spacing makes that one pixel.
+fn readjust(fan: &mut Fan, f: usize, vanishing: [f64; 3], extent: (f64, f64), w: f64, h: f64) {
+    let [vx, vy, vw] = vanishing;
+    if vw == 0.0 {
+        return; // parallel planes: nothing crowds
+    }
+    let (x, y) = (vx / vw, vy / vw);
+    let (centre, distance, depth) = if vertical(f) { (x, (y - fan.far).abs(), h) } else { (y, (x - fan.far).abs(), w) };
+    let rho = ((distance - depth) / distance).clamp(0.0, 1.0);
+    let pixels = 1.5 * (1.0 + rho) / (1.0 + rho + rho * rho);
+    let q = |at: f64| ((at - centre) / distance).asinh();
+    let (lo, hi) = (q(extent.0 - 0.5), q(extent.1 + 0.5));
+    let n = ((hi - lo) * distance / pixels).ceil().max(1.0);
+    if !(n.is_finite() && n < f64::from(fan.n_planes)) {
+        return;
+    }
+    fan.n_planes = n as u32;
+    fan.readjusted = Some(Readjusted { centre, distance, start: lo, step: (hi - lo) / n });
+}
+
+impl Fan {
+    /// Place of plane `k` of the fan on the far edge, and the width of its stripe, in pixels.
+    pub fn place(&self, k: u32) -> (f64, f64) {
+        match self.readjusted {
+            None => (self.start + (f64::from(k) + 0.5) * self.spacing, self.spacing),
+            Some(r) => {
+                let at = |i: f64| r.centre + r.distance * (r.start + i * r.step).sinh();
+                let k = f64::from(k);
+                (at(k + 0.5), at(k + 1.0) - at(k))
+            }
+        }
+    }
+
+    /// The plane of the fan whose stripe holds place `at` of the far edge.
+    #[inline]
+    pub fn plane_at(&self, at: f64) -> u32 {
+        let k = match self.readjusted {
+            None => (at - self.start) / self.spacing,
+            Some(r) => (((at - r.centre) / r.distance).asinh() - r.start) / r.step,
+        };
+        (k.max(0.0) as u32).min(self.n_planes - 1)
+    }
+}
+
+/// The plane through place `at` of fan `f`'s far edge: azimuth and projection, samples not yet flipped.
+fn line(f: usize, at: f64, far: f64, camera: &Camera, basis: &Basis) -> Plane {
+    let (x, y) = if vertical(f) { (at, far) } else { (far, at) };
+    let ray = camera.ray(basis, x, y);
+    let horizontal = DVec3::new(ray.x, 0.0, ray.z);
+    // The far point is the vanishing point only where the fan has no extent; any azimuth will do.
+    let dir = horizontal.try_normalize().unwrap_or_else(|| {
+        let away = if basis.forward.y > 0.0 { -basis.up } else { basis.up };
+        DVec3::new(away.x, 0.0, away.z).try_normalize().unwrap_or(DVec3::NEG_Z)
+    });
+    let focal = camera.focal();
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    let (c, e) = (dir.dot(basis.forward), basis.forward.y);
+    let (a, b) = if vertical(f) {
+        (h / 2.0 * c - focal * dir.dot(basis.up), h / 2.0 * e - focal * basis.up.y)
+    } else {
+        (w / 2.0 * c + focal * dir.dot(basis.right), w / 2.0 * e + focal * basis.right.y)
+    };
+    Plane { dir: [dir.x, dir.z], a, b, c, e, ..Plane::default() }
+}
+
+/// Samples of the plane at `at` that pixels can ask for, widened for rounding and for pixels that look beside their place.
+fn window(f: usize, at: f64, stripe: f64, fan: &Fan, vanishing: [f64; 3], w: f64, h: f64) -> (u32, u32) {
+    let [vx, vy, vw] = vanishing;
+    let n = i64::from(fan.n_samples);
+    // Along: the axis samples count along. Across: the axis of the far edge.
+    let (v_along, v_across, across_size) = if vertical(f) { (vy, vx, w) } else { (vx, vy, h) };
+    let (mut lo, mut hi) = (0.0, n as f64);
+    // On the fan's side of the vanishing point.
+    let main = |s: f64| v_along - s * vw;
+    let towards_zero = f == UP || f == LEFT;
+    if vw > 0.0 {
+        let v = v_along / vw;
+        if towards_zero {
+            hi = hi.min((v + 0.5).floor());
+        } else {
+            lo = f64::max(lo, (v - 0.5).ceil());
+        }
+    }
+    // Across the screen, half a stripe beyond its edges included.
+    let m = (v_across - at * vw) / main(fan.far);
+    // A stripe and a half: pixels also look at the second nearest plane, and one sample to either side.
+    let margin = 1.5 * stripe;
+    if m.is_finite() && m != 0.0 {
+        let s0 = fan.far + (-margin - at) / m;
+        let s1 = fan.far + (across_size + margin - at) / m;
+        lo = lo.max(s0.min(s1).floor() - 2.0);
+        hi = hi.min(s0.max(s1).ceil() + 2.0);
+    }
+    let (lo, hi) = ((lo.clamp(0.0, n as f64)) as i64, (hi.clamp(0.0, n as f64)) as i64);
+    let hi = hi.max(lo);
+    let (lo, hi) = if fan.flip { (n - hi, n - lo) } else { (lo, hi) };
+    (lo as u32, hi as u32)
+}
+
+/// The world around the eye: what clips planes and what levels they may draw.
+struct World {
+    eye_cell: [i32; 3],
+    eye_fract: [f64; 3],
+    period_offset: [i64; 2],
+    /// Extent along x and z, `None` where it repeats.
+    bounds: [Option<i32>; 2],
+    /// Height of the lowest and the highest solid voxel's far face above the eye.
+    heights: (f64, f64),
+    view_distance: f64,
+    levels: u32,
+}
+
+impl World {
+    fn new(resident: &Resident, camera: &Camera, options: &Options) -> World {
+        let [nx, _, nz] = resident.dims;
+        let mut period_offset = [0; 2];
+        let mut reduce = |axis: usize, v: f64, n: u32, repeat: bool| -> (i32, f64) {
+            let cell = v.floor();
+            let fract = v - cell;
+            let mut cell = cell as i64;
+            if repeat {
+                let first = cell.rem_euclid(i64::from(n));
+                period_offset[axis] = cell - first;
+                cell = first;
+            }
+            (cell.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32, fract)
+        };
+        let (x, fx) = reduce(0, camera.eye.x, nx, options.repeat.x);
+        let (z, fz) = reduce(1, camera.eye.z, nz, options.repeat.z);
+        let y = camera.eye.y.floor();
+        let repeats = options.repeat.x || options.repeat.z;
+        let view_distance =
+            if options.view_distance.is_finite() || !repeats { options.view_distance } else { REPEATED_VIEW_DISTANCE };
+        // A level whose cells do not divide a repeated extent would straddle the seam.
+        let fits = |k: u32| {
+            (!options.repeat.x || nx.is_multiple_of(1 << k)) && (!options.repeat.z || nz.is_multiple_of(1 << k))
+        };
+        let levels = match options.lod {
+            None => 1,
+            Some(_) => (0..resident.levels.len() as u32).take_while(|&k| fits(k)).count() as u32,
+        };
+        let level0 = &resident.levels[0];
+        World {
+            eye_cell: [x, y as i32, z],
+            eye_fract: [fx, camera.eye.y - y, fz],
+            period_offset,
+            bounds: [(!options.repeat.x).then_some(nx as i32), (!options.repeat.z).then_some(nz as i32)],
+            heights: (f64::from(level0.bottom) - camera.eye.y, f64::from(level0.top) - camera.eye.y),
+            view_distance,
+            levels,
+        }
+    }
+
+    /// Finds where a plane enters and leaves the world, and the column it starts in.
+    fn clip(&self, plane: &mut Plane) {
+        let (mut t_start, mut t_end) = (0.0, self.view_distance);
+        let mut entered = None;
+        for axis in 0..2 {
+            let Some(n) = self.bounds[axis] else { continue };
+            let d = plane.dir[axis];
+            let eye = f64::from(self.eye_cell[2 * axis]) + self.eye_fract[2 * axis];
+            if d == 0.0 {
+                if eye < 0.0 || eye >= f64::from(n) {
+                    t_end = 0.0;
+                }
+                continue;
+            }
+            let (near, far) = if d > 0.0 { (0.0, f64::from(n)) } else { (f64::from(n), 0.0) };
+            let t_near = (near - eye) / d;
+            if t_near > t_start {
+                t_start = t_near;
+                entered = Some(axis);
+            }
+            t_end = f64::min(t_end, (far - eye) / d);
+        }
+        plane.t_start = t_start;
+        plane.t_end = t_end.max(t_start);
+        for axis in 0..2 {
+            let d = plane.dir[axis];
+            let along = self.eye_fract[2 * axis] + t_start * d;
+            let cell = f64::from(self.eye_cell[2 * axis]) + along.floor();
+            plane.cell[axis] = match self.bounds[axis] {
+                Some(n) if entered == Some(axis) => {
+                    if d > 0.0 {
+                        0
+                    } else {
+                        n - 1
+                    }
+                }
+                Some(n) => cell.clamp(0.0, f64::from((n - 1).max(0))) as i32,
+                None => cell as i32,
+            };
+        }
+    }
+
+    /// From where on each level's voxels project to at most `lod` pixels, for everything that the plane can see.
+    fn choose_levels(&self, plane: &mut Plane, focal: f64, lod: Option<f64>) {
+        plane.lod_t = f64::INFINITY;
+        plane.lod_first = 0;
+        let Some(lod) = lod else { return };
+        // Depth of a voxel one wide that projects to `lod` pixels.
+        let depth = focal / lod;
+        let direction = |u: f64| (plane.b - u * plane.e, u * plane.c - plane.a);
+        let ends = [direction(f64::from(plane.first)), direction(f64::from(plane.end))];
+        // A point at distance t on a sight line has depth t·Δ/(t component), least where that is greatest.
+        let delta = plane.b * plane.c - plane.a * plane.e;
+        let widest = ends[0].0.max(ends[1].0);
+        plane.lod_t = depth * widest / delta;
+        // With the whole world below (above) the eye, nothing is nearer than where sight lines reach its top (bottom).
+        let near = if self.heights.1 < 0.0 { self.heights.1 } else { self.heights.0 };
+        if self.heights.1 < 0.0 || self.heights.0 > 0.0 {
+            let mut nearest = f64::INFINITY;
+            for (_, h) in ends {
+                let q = near / h;
+                // A sight line that never reaches the world shows only sky; the other end, the steeper, is the bound.
+                if q > 0.0 {
+                    nearest = nearest.min(q * delta);
+                }
+            }
+            let first = (nearest / depth).log2().floor();
+            if first.is_finite() && first > 0.0 {
+                plane.lod_first = first as u32;
+            }
+        }
+        plane.lod_first = plane.lod_first.min(self.levels - 1);
+    }
+}
