@@ -13,6 +13,7 @@ pub mod plane_setup;
 pub mod renderer;
 pub mod resident;
 pub mod tour;
+pub mod video;
 
 pub use camera::Camera;
 pub use error::{Error, Result};
