@@ -23,6 +23,7 @@ pub mod mips;
 pub mod read;
 pub mod run;
 pub mod scene;
+pub mod source;
 pub mod srgb;
 pub mod write;
 
