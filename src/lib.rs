@@ -1,9 +1,12 @@
 //! Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes.
 
 pub mod camera;
+pub mod cli;
 pub mod cpu;
+pub mod demo;
 pub mod error;
 pub mod exact;
+pub mod fly;
 pub mod frame;
 pub mod options;
 pub mod output;
