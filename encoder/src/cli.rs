@@ -4,7 +4,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use crate::decode::decode_to_raw;
-use crate::{Error, PcastFile, Result, info};
+use crate::source::{self, ReadOptions};
+use crate::write::write_scene;
+use crate::{BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, build, info};
 
 /// Exit status where the input, the scene or the machine was at fault.
 pub const EXIT_INPUT: u8 = 1;
@@ -16,6 +18,36 @@ pub fn exit_status(error: &Error) -> u8 {
     match error {
         Error::Argument(_) => EXIT_USAGE,
         _ => EXIT_INPUT,
+    }
+}
+
+/// Make a scene of a volume, height map, voxel map or model, or of a seeded function
+#[derive(Clone, Debug, clap::Args)]
+pub struct EncodeArgs {
+    /// Input file, or a name such as procedural:terrain?size=512&seed=7
+    pub input: PathBuf,
+    /// Scene to write
+    #[arg(short, long, value_name = "SCENE.pcast")]
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub read: ReadOptions,
+    /// What the runs hold
+    #[arg(long, value_enum, default_value = "solid")]
+    pub encoding: Encoding,
+    /// How finely the scene is coloured [default: voxel if the input has colours, else none]
+    #[arg(long, value_enum)]
+    pub color: Option<ColorMode>,
+    /// When a voxel of a coarser level is solid
+    #[arg(long, value_enum, default_value = "any")]
+    pub mip_rule: MipRule,
+}
+
+impl EncodeArgs {
+    pub fn run(&self) -> Result<()> {
+        let input = source::open(&self.input, &self.read)?;
+        input.notes.iter().for_each(|note| eprintln!("note: {note}"));
+        let opts = BuildOptions { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule };
+        write_scene(&build(input, &opts)?, &self.output)
     }
 }
 

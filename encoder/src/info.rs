@@ -116,7 +116,7 @@ pub fn info(file: &PcastFile) -> Result<Info> {
             bytes: of_level,
         });
     }
-    bytes.finish(file.len());
+    bytes.finish(file.file_len());
 
     let mut hash = Xxh3::new();
     file.dims().iter().for_each(|n| hash.update(&n.to_le_bytes()));

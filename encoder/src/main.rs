@@ -9,6 +9,7 @@ use planecast_encoder::cli;
 #[derive(clap::Parser)]
 #[command(name = "planecast-encode", version)]
 enum Command {
+    Encode(cli::EncodeArgs),
     Decode(cli::DecodeArgs),
     Info(cli::InfoArgs),
     Query(cli::QueryArgs),
@@ -16,6 +17,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let done = match Command::parse() {
+        Command::Encode(args) => args.run(),
         Command::Decode(args) => args.run(),
         Command::Info(args) => args.run(),
         Command::Query(args) => args.run(),

@@ -192,13 +192,8 @@ impl PcastFile {
     }
 
     /// Bytes of the file.
-    pub fn len(&self) -> u64 {
+    pub fn file_len(&self) -> u64 {
         self.bytes.len() as u64
-    }
-
-    /// Never: a file has a header.
-    pub fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
     }
 
     fn tile_ix(&self, level: usize, tx: u32, tz: u32) -> usize {
@@ -811,6 +806,26 @@ mod tests {
             assert_eq!(tile.solid.dims(), [256, 24, 14]);
             assert_eq!(tile.solid.column(3, 5), scene.levels[0].solid.column(259, 261));
             assert!(file.tile(0, 2, 0).unwrap().solid.runs().is_empty());
+        }
+    }
+
+    #[test]
+    fn pcast_gives_back_the_tallest_columns() {
+        // Full, every second voxel (32,768 runs), empty, one run a bucket.
+        let columns = Columns::from_fn(2, 65_536, 2, |x, y, z| match (x, z) {
+            (0, 0) => true,
+            (1, 0) => y % 2 == 1,
+            (0, _) => false,
+            _ => y % 256 < 3,
+        });
+        for mode in MODES {
+            let scene = Scene { mip_rule: MipRule::Majority, ..scene(columns.clone(), mode) };
+            let file = opened(written(&scene)).unwrap();
+            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+            let solid = |x, y, z| file.query(x, y, z).unwrap().solid;
+            assert!(solid(0, 0, 0) && solid(0, 40_000, 0) && solid(0, 65_535, 0));
+            assert!(!solid(1, 65_534, 0) && solid(1, 65_535, 0) && !solid(0, 9, 1));
+            assert!(solid(1, 65_282, 1) && !solid(1, 65_283, 1) && !solid(1, 65_535, 1));
         }
     }
 

@@ -14,7 +14,7 @@
 
 use crate::options::Culling;
 use crate::plane_setup::{Plane, Setup};
-use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, exposed_color};
+use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
 use planecast_encoder::Run;
 use rayon::prelude::*;
 
@@ -38,11 +38,14 @@ pub trait Real:
     fn from_f64(v: f64) -> Self;
     fn from_i32(v: i32) -> Self;
     fn floor_i32(self) -> i32;
-    fn ceil_i32(self) -> i32;
     fn to_f32(self) -> f32;
+    /// The whole part, of numbers brought into `0 ..= top` first (NaN to 0); `top` is below 2³¹.
+    fn truncate(self, top: Self) -> i32;
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         if other < self { other } else { self }
     }
+    #[inline(always)]
     fn max(self, other: Self) -> Self {
         if other > self { other } else { self }
     }
@@ -70,13 +73,15 @@ macro_rules! real {
                 i - i32::from(i as $t > self)
             }
             #[inline(always)]
-            fn ceil_i32(self) -> i32 {
-                let i = self as i32;
-                i + i32::from((i as $t) < self)
-            }
-            #[inline(always)]
             fn to_f32(self) -> f32 {
                 self as f32
+            }
+            #[inline(always)]
+            fn truncate(self, top: $t) -> i32 {
+                let v = if self > 0.0 { self } else { 0.0 };
+                let v = if v < top { v } else { top };
+                // SAFETY: v is in 0 ..= top, and top is below 2³¹. The checked cast keeps loops from being vectorised.
+                unsafe { v.to_int_unchecked::<i32>() }
             }
         }
     };
@@ -151,6 +156,7 @@ pub fn traverse<R: Real>(
         }
     }
     let tasks = tasks.into_par_iter().with_max_len(1);
+    let avx2 = has_avx2();
     let run = |task: Task<'_>| {
         let n = task.color.len() / task.planes.len();
         let mut counters = Counters::default();
@@ -160,7 +166,8 @@ pub fn traverse<R: Real>(
             let color = &mut task.color[at.clone()];
             let depth = &mut task.depth[at.clone()];
             let voxel = if voxels { &mut task.voxel[at] } else { &mut [][..] };
-            counters += traverse_one::<R>(resident, setup, plane, culling, &mut scratch, color, depth, voxel);
+            let task = Task1 { resident, setup, plane, culling, color, depth, voxel };
+            counters += walk_plane::<R>(task, &mut scratch, avx2);
         }
         counters
     };
@@ -170,6 +177,16 @@ pub fn traverse<R: Real>(
     })
 }
 
+fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch, avx2: bool) -> Counters {
+    #[cfg(target_arch = "x86_64")]
+    if avx2 {
+        // SAFETY: `has_avx2` has seen that the processor can.
+        return unsafe { traverse_one_avx2::<R>(task, scratch) };
+    }
+    let _ = avx2;
+    traverse_one::<R>(task, scratch)
+}
+
 /// Memory that a task's planes share one after the other.
 #[derive(Default)]
 struct Scratch {
@@ -177,30 +194,52 @@ struct Scratch {
     skip: Vec<u32>,
 }
 
-#[expect(clippy::too_many_arguments, reason = "one plane's inputs and outputs")]
-fn traverse_one<R: Real>(
-    resident: &Resident,
-    setup: &Setup,
-    plane: &Plane,
+/// One plane's inputs and outputs.
+struct Task1<'a> {
+    resident: &'a Resident,
+    setup: &'a Setup,
+    plane: &'a Plane,
     culling: Culling,
-    scratch: &mut Scratch,
-    color: &mut [u32],
-    depth: &mut [f32],
-    voxel: &mut [[i32; 4]],
-) -> Counters {
+    color: &'a mut [u32],
+    depth: &'a mut [f32],
+    voxel: &'a mut [[i32; 4]],
+}
+
+#[inline(always)]
+fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
     macro_rules! walk {
         ($voxel:literal, $fast:literal) => {{
-            let mut walk = Walk::<R, $voxel, $fast>::new(resident, setup, plane, culling, scratch, color, depth, voxel);
+            let mut walk = Walk::<R, $voxel, $fast>::new(task, scratch);
             walk.run();
             walk.finish()
         }};
     }
-    match (voxel.is_empty(), culling == Culling::ALL) {
+    match (task.voxel.is_empty(), task.culling == Culling::ALL) {
         (true, true) => walk!(false, true),
         (true, false) => walk!(false, false),
         (false, true) => walk!(true, true),
         (false, false) => walk!(true, false),
     }
+}
+
+/// The same code for processors with AVX2 and BMI: wider loops over samples, cheaper bit scans. No fused operations, so
+/// the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
+    traverse_one::<R>(task, scratch)
+}
+
+/// Whether [`traverse_one_avx2`] may be called.
+fn has_avx2() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt")
+        && is_x86_feature_detected!("popcnt");
+    #[cfg(not(target_arch = "x86_64"))]
+    return false;
 }
 
 /// Faces of a run, as drawn.
@@ -224,7 +263,9 @@ struct Drawn<R> {
     t0: R,
 }
 
-/// One plane on its way. `FAST` stands for [`Culling::ALL`], so that the compiler drops the switches.
+/// One plane on its way. Fields in this order: `s_lo` and `s_hi` are written one by one and read together, and side by side
+/// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for [`Culling::ALL`], so that the compiler drops the switches.
+#[repr(C)]
 struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     resident: &'a Resident,
     setup: &'a Setup,
@@ -242,14 +283,16 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     end: i32,
     s_first: R,
     s_end: R,
+    /// More samples than any plane has.
+    limit: R,
     /// The open window within it.
     lo: i32,
     hi: i32,
     s_lo: R,
-    s_hi: R,
-    /// The center segment and the slopes at its ends; empty where equal.
+    /// The center segment; empty where equal.
     center: [i32; 2],
-    s_center: [R; 2],
+    /// All samples outside `hull` and inside the open window are unfilled, whatever `open` says of those outside the window.
+    hull: [i32; 2],
     /// Unfilled samples left, where `lo` and `hi` do not tell.
     left: i32,
     /// One bit a sample, set while it is unfilled.
@@ -257,8 +300,11 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     /// For a filled sample, one that may be unfilled, or a step towards it.
     skip: &'a mut [u32],
     color: &'a mut [u32],
+    s_hi: R,
     depth: &'a mut [f32],
     voxel: &'a mut [[i32; 4]],
+    /// Slopes at the center segment's ends.
+    s_center: [R; 2],
     /// Level and column of the run being drawn.
     level: u32,
     cell: [i32; 2],
@@ -266,17 +312,9 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
 }
 
 impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> {
-    #[expect(clippy::too_many_arguments, reason = "one plane's inputs and outputs")]
-    fn new(
-        resident: &'a Resident,
-        setup: &'a Setup,
-        plane: &'a Plane,
-        culling: Culling,
-        scratch: &'a mut Scratch,
-        color: &'a mut [u32],
-        depth: &'a mut [f32],
-        voxel: &'a mut [[i32; 4]],
-    ) -> Self {
+    #[inline(always)]
+    fn new(task: Task1<'a>, scratch: &'a mut Scratch) -> Self {
+        let Task1 { resident, setup, plane, culling, color, depth, voxel } = task;
         let n = color.len();
         scratch.open.clear();
         scratch.open.resize(n.div_ceil(64), 0);
@@ -306,11 +344,13 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             end: plane.end as i32,
             s_first: R::ZERO,
             s_end: R::ZERO,
+            limit: R::from_i32(1 << 24),
             lo: plane.first as i32,
             hi: plane.end as i32,
             s_lo: R::ZERO,
             s_hi: R::ZERO,
             center: [0; 2],
+            hull: [i32::MAX, i32::MIN],
             s_center: [R::ZERO; 2],
             left: plane.end as i32 - plane.first as i32,
             open: &mut scratch.open,
@@ -360,8 +400,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         if h >= self.s_end * t {
             return self.end;
         }
-        let u = (self.a * t + self.b * h) / (self.c * t + self.e * h);
-        (u - R::HALF).ceil_i32().clamp(self.first, self.end)
+        // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
+        let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
+        let j = u.truncate(self.limit);
+        (j - i32::from(R::from_i32(j) == u)).clamp(self.first, self.end)
     }
 
     #[inline(always)]
@@ -370,6 +412,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     }
 
     /// Walks the plane until its window is closed or its world ends.
+    #[inline(always)]
     fn run(&mut self) {
         let plane = self.plane;
         let setup = self.setup;
@@ -497,6 +540,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     /// Equidistant traversal: one column a slice of the plane's longer axis, the one at the slice's middle. Returns the
     /// slice's end.
     #[expect(clippy::too_many_arguments, reason = "the walk's state")]
+    #[inline(always)]
     fn slice(
         &mut self,
         level: &'a ResidentLevel,
@@ -542,6 +586,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
 
     /// Draws the runs of one column that may show between heights `lo` and `hi`, from the top down.
     #[expect(clippy::too_many_arguments, reason = "what `column` knows already")]
+    #[inline(always)]
     fn runs(
         &mut self,
         level: &'a ResidentLevel,
@@ -591,6 +636,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         }
     }
 
+    #[inline(always)]
     fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
         let Drawn { h0, h1, t0, .. } = d;
         let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0).max(self.lo);
@@ -601,6 +647,27 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         self.counters.spans_drawn += 1;
         let f0 = if h0 > R::ZERO { self.sample(t0, h0).clamp(j0, j1) } else { j0 };
         let f1 = if h1 < R::ZERO { self.sample(t0, h1).clamp(f0, j1) } else { j1 };
+        // The common case: a span at an end of the window, beyond all that was drawn within it, just moves the end.
+        if FAST && (j1 <= self.hull[0] || j0 >= self.hull[1]) && (j0 == self.lo || j1 == self.hi) {
+            self.emit_face(level, l, Face::Bottom, d, j0, f0);
+            self.emit_face(level, l, Face::Front, d, f0, f1);
+            self.emit_face(level, l, Face::Top, d, f1, j1);
+            if j0 == self.lo {
+                self.lo = j1;
+                if j1 == self.hull[0] {
+                    self.lo = self.first_open(j1);
+                }
+                self.s_lo = self.edge_slope(self.lo);
+            } else {
+                self.hi = j0;
+                if j0 == self.hull[1] {
+                    self.hi = self.last_open(j0) + 1;
+                }
+                self.s_hi = self.edge_slope(self.hi);
+            }
+            return;
+        }
+        self.hull = [self.hull[0].min(j0), self.hull[1].max(j1)];
         if j0 < f0 {
             self.fill(level, l, Face::Bottom, d, j0, f0);
         }
@@ -611,6 +678,17 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             self.fill(level, l, Face::Top, d, f1, j1);
         }
         self.cull(j0, j1);
+    }
+
+    /// Draws one face into samples that are all unfilled.
+    #[inline(always)]
+    fn emit_face(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: i32, to: i32) {
+        let (mut from, to) = (from as usize, to as usize);
+        while from < to {
+            let end = to.min(from + 64);
+            self.emit(level, l, face, d, from, end);
+            from = end;
+        }
     }
 
     /// Draws one face into the unfilled samples of `from .. to`.
@@ -653,11 +731,13 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         }
     }
 
+    #[inline(always)]
     fn is_open(&self, j: usize) -> bool {
         if FAST || self.culling.bits { self.open[j / 64] >> (j % 64) & 1 == 1 } else { self.depth[j] == f32::INFINITY }
     }
 
     /// The first unfilled sample from the filled sample `j` on: shear-warp's forwarding, with paths shortened on the way.
+    #[inline(always)]
     fn next_open(&mut self, j: usize) -> usize {
         let mut end = j;
         while self.skip[end] as usize != end {
@@ -670,46 +750,51 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         end
     }
 
-    /// Writes samples `from .. to`, all unfilled until now.
+    /// Writes samples `from .. to`, all unfilled until now and at most 64.
     #[inline(always)]
-    fn emit(&mut self, level: &'a ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
+    fn emit(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
         let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
         let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
+        let depth = &mut self.depth[from..to];
+        let color = &mut self.color[from..to];
         if let Face::Front = face {
-            let exposed = match &level.paint {
-                Paint::None => Exposed::One(UNPAINTED),
-                Paint::Run { base, colors } => Exposed::One(colors[(base[d.column] + d.k) as usize]),
-                Paint::Voxel { base, exposed, colors } => {
-                    Exposed::Runs(&exposed[base[d.column] as usize..base[d.column + 1] as usize], colors)
-                }
-            };
-            for j in from..to {
-                let u = R::from_i32(j as i32);
+            // How far above the run's foot each sight line meets it, in voxels of level 0.
+            let top = R::from_i32(((last - first + 1) << l) as i32 - 1);
+            let mut above = [0u32; 64];
+            for (i, (z, above)) in depth.iter_mut().zip(&mut above).enumerate() {
+                let u = R::from_i32((from + i) as i32);
                 let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
                 // At the vanishing point itself a front face would be infinitely high: t is kept off zero there.
                 let q = d.t0 / t.max(R::TINY);
-                self.depth[j] = (self.delta * q).to_f32().min(f32::MAX);
-                let y = (h * q + self.fract_y).floor_i32().wrapping_add(self.eye_y) >> l;
-                let y = (y.max(0) as u32).clamp(first, last);
-                self.color[j] = match exposed {
-                    Exposed::One(c) => c,
-                    Exposed::Runs(runs, colors) => exposed_color(runs, y).map_or(UNPAINTED, |at| colors[at as usize]),
-                };
-                if VOXEL {
-                    self.voxel[j] = [self.cell[0], y as i32, self.cell[1], l as i32];
+                *z = finite((self.delta * q).to_f32());
+                *above = (h * q - d.h0).truncate(top) as u32;
+            }
+            match &level.paint {
+                Paint::None => color.fill(UNPAINTED),
+                Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
+                Paint::Voxel { base, exposed, colors } => {
+                    let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+                    let mut paint = Exposed::default();
+                    for (c, above) in color.iter_mut().zip(&above) {
+                        *c = colors[paint.find(exposed, first + (above >> l))];
+                    }
+                }
+            }
+            if VOXEL {
+                for (v, above) in self.voxel[from..to].iter_mut().zip(&above) {
+                    *v = [self.cell[0], (first + (above >> l)) as i32, self.cell[1], l as i32];
                 }
             }
         } else {
             let (h, y) = if let Face::Top = face { (d.h1, last) } else { (d.h0, first) };
-            let depth = self.delta * h;
-            let color = level.paint.color(d.column, d.k, y);
-            for j in from..to {
-                let u = R::from_i32(j as i32);
-                self.depth[j] = (depth / (ray_h + u * self.c)).to_f32().clamp(0.0, f32::MAX);
-                self.color[j] = color;
-                if VOXEL {
-                    self.voxel[j] = [self.cell[0], y as i32, self.cell[1], l as i32];
-                }
+            let scaled = self.delta * h;
+            for (i, z) in depth.iter_mut().enumerate() {
+                let u = R::from_i32((from + i) as i32);
+                *z = finite((scaled / (ray_h + u * self.c)).to_f32());
+            }
+            color.fill(level.paint.color(d.column, d.k, y));
+            if VOXEL {
+                self.voxel[from..to].fill([self.cell[0], y as i32, self.cell[1], l as i32]);
             }
         }
     }
@@ -738,6 +823,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     }
 
     /// The first unfilled sample from `j` on, `hi` if there is none.
+    #[inline(always)]
     fn first_open(&mut self, j: i32) -> i32 {
         let mut j = j;
         if FAST || self.culling.bits {
@@ -758,6 +844,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     }
 
     /// The last unfilled sample before `j`, `lo − 1` if there is none.
+    #[inline(always)]
     fn last_open(&mut self, j: i32) -> i32 {
         let mut j = j - 1;
         if FAST || self.culling.bits {
@@ -778,25 +865,55 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     }
 
     /// What is still unfilled shows the sky.
+    #[inline(always)]
     fn finish(self) -> Counters {
-        for j in self.first as usize..self.end as usize {
-            if self.open[j / 64] >> (j % 64) & 1 == 1 {
+        let (lo, hi) = (self.lo.min(self.hi) as usize, self.hi as usize);
+        for (w, &open) in self.open.iter().enumerate() {
+            // Bits outside the window are out of date: the window's ends moved over those samples because they are filled.
+            let mut open = open & low_bits(hi.saturating_sub(64 * w).min(64)) & !low_bits(lo.saturating_sub(64 * w).min(64));
+            while open != 0 {
+                let j = 64 * w + open.trailing_zeros() as usize;
                 self.color[j] = 0;
                 self.depth[j] = f32::INFINITY;
                 if VOXEL {
                     self.voxel[j] = SKY;
                 }
+                open &= open - 1;
             }
         }
         self.counters
     }
 }
 
-/// Where the colours of a front face come from.
-#[derive(Clone, Copy)]
-enum Exposed<'a> {
-    One(u32),
-    Runs(&'a [[u32; 2]], &'a [u32]),
+/// A drawn depth: never mistaken for the sky, never behind the eye.
+#[inline(always)]
+fn finite(z: f32) -> f32 {
+    let z = if z > 0.0 { z } else { 0.0 };
+    if z < f32::MAX { z } else { f32::MAX }
+}
+
+/// The exposed run that was looked up last: neighbouring samples mostly share it.
+#[derive(Default)]
+struct Exposed {
+    first: u32,
+    /// One past the last voxel.
+    end: u32,
+    start: u32,
+}
+
+impl Exposed {
+    /// Where the colour of voxel `y` stands; a column that is drawn has an exposed run.
+    #[inline(always)]
+    fn find(&mut self, column: &[[u32; 2]], y: u32) -> usize {
+        if y.wrapping_sub(self.first) >= self.end - self.first {
+            let [run, start] = column[nearest_exposed(column, y)];
+            let run = Run(run);
+            (self.first, self.end, self.start) = (u32::from(run.first()), run.end(), start);
+            let y = y.clamp(self.first, self.end - 1);
+            return (self.start + y - self.first) as usize;
+        }
+        (self.start + y - self.first) as usize
+    }
 }
 
 /// The lowest `n` bits, 0 to 64.
