@@ -10,7 +10,7 @@
 //! block          | lowest first u16, highest last u16 |         bounds of 8 × 8 columns
 //! ```
 
-use planecast_encoder::{ColorMode, Columns, Encoding, Rgb, Run, Scene};
+use planecast_encoder::{ColorMode, Columns, Rgb, Run, Scene};
 use rayon::prelude::*;
 
 /// Columns a side of a block whose height bounds are kept.
@@ -171,17 +171,19 @@ fn voxel_paint(exposed: &Columns, colors: &[Rgb]) -> Paint {
 impl Paint {
     /// Colour of voxel `y` (of this level) in run number `k` (from the top down) of column number `ix`. A voxel without
     /// a colour of its own (interior: the eye is inside it) takes that of the nearest exposed run.
-    #[inline]
+    #[inline(always)]
     pub fn color(&self, ix: usize, k: u32, y: u32) -> u32 {
         match self {
             Paint::None => UNPAINTED,
             Paint::Run { base, colors } => colors[(base[ix] + k) as usize],
             Paint::Voxel { base, exposed, colors } => {
                 let column = &exposed[base[ix] as usize..base[ix + 1] as usize];
-                match exposed_color(column, y) {
-                    Some(at) => colors[at as usize],
-                    None => UNPAINTED,
+                if column.is_empty() {
+                    return UNPAINTED;
                 }
+                let [run, start] = column[nearest_exposed(column, y)];
+                let (first, last) = (u32::from(Run(run).first()), u32::from(Run(run).last()));
+                colors[(start + y.clamp(first, last) - first) as usize]
             }
         }
     }
@@ -190,26 +192,16 @@ impl Paint {
 /// Colour of geometry without paint: a light grey that shading can work on.
 pub const UNPAINTED: u32 = u32::from_le_bytes([200, 200, 200, 255]);
 
-/// Where the colour of voxel `y` stands, in a column's exposed runs.
-#[inline]
-pub fn exposed_color(column: &[[u32; 2]], y: u32) -> Option<u32> {
+/// Which of a column's exposed runs (at least one) holds voxel `y` or is nearest below it.
+#[inline(always)]
+pub fn nearest_exposed(column: &[[u32; 2]], y: u32) -> usize {
     // Most columns have one or two exposed runs, and what is seen is mostly near the top.
-    let mut k = column.len().checked_sub(1)?;
     if column.len() > 8 {
-        k = column.partition_point(|&[run, _]| u32::from(Run(run).first()) <= y).saturating_sub(1);
-    } else {
-        while k > 0 && u32::from(Run(column[k][0]).first()) > y {
-            k -= 1;
-        }
+        return column.partition_point(|&[run, _]| u32::from(Run(run).first()) <= y).saturating_sub(1);
     }
-    let [run, start] = column[k];
-    let (first, last) = (u32::from(Run(run).first()), u32::from(Run(run).last()));
-    Some(start + y.clamp(first, last) - first)
-}
-
-/// Whether voxel `(x, y, z)` of a scene's level 0 is solid, and in which run (from the top down) of the resident
-/// geometry it lies. Interior voxels of a surface scene are solid but lie in no run.
-pub fn solid_at(scene: &Scene, x: u32, y: u32, z: u32) -> bool {
-    debug_assert!(matches!(scene.encoding, Encoding::Solid | Encoding::Surface));
-    scene.levels[0].solid.find(x, y, z).is_some()
+    let mut k = column.len() - 1;
+    while k > 0 && u32::from(Run(column[k][0]).first()) > y {
+        k -= 1;
+    }
+    k
 }

@@ -1,5 +1,7 @@
 //! All columns of one level, as flat run lists.
 
+use rayon::prelude::*;
+
 use crate::Run;
 
 /// The run lists of `nx × nz` columns, each `ny` high. Column `(x, z)` is number `z·nx + x`; its runs ascend, do
@@ -39,6 +41,44 @@ impl Columns {
 
     pub fn nz(&self) -> u32 {
         self.nz
+    }
+
+    /// Columns made row by row, in parallel: `row(z, out)` ends the `nx` columns of row `z`.
+    pub fn from_rows(nx: u32, ny: u32, nz: u32, row: impl Fn(u32, &mut ColumnsBuilder) + Sync) -> Columns {
+        // Enough columns a part that handing it out costs nothing beside making it.
+        let rows = (8192 / nx.max(1)).max(1);
+        let parts: Vec<Columns> = (0..nz.div_ceil(rows))
+            .into_par_iter()
+            .map(|part| {
+                let z = part * rows..nz.min(part.saturating_add(1).saturating_mul(rows));
+                let mut out = ColumnsBuilder::new(nx, ny, z.end - z.start);
+                z.for_each(|z| row(z, &mut out));
+                out.finish()
+            })
+            .collect();
+        let n_runs: usize = parts.iter().map(|p| p.runs.len()).sum();
+        u32::try_from(n_runs).expect("at most 2³² − 1 runs a level");
+        let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
+        let mut runs = Vec::with_capacity(n_runs);
+        offsets.push(0);
+        for part in parts {
+            let base = runs.len() as u32;
+            offsets.extend(part.offsets[1..].iter().map(|o| base + o));
+            runs.extend_from_slice(&part.runs);
+        }
+        Columns::from_parts(nx, ny, nz, offsets, runs)
+    }
+
+    /// Columns of the voxels `(x, y, z)` for which `solid` holds.
+    pub fn from_fn(nx: u32, ny: u32, nz: u32, solid: impl Fn(u32, u32, u32) -> bool + Sync) -> Columns {
+        Columns::from_rows(nx, ny, nz, |z, out| {
+            for x in 0..nx {
+                for y in (0..ny).filter(|&y| solid(x, y, z)) {
+                    out.push_run(Run::new(y as u16, y as u16));
+                }
+                out.end_column();
+            }
+        })
     }
 
     /// `[nx, ny, nz]`.
@@ -95,6 +135,19 @@ impl Columns {
     /// Number of solid voxels.
     pub fn voxels(&self) -> u64 {
         self.runs.iter().map(|r| u64::from(r.len())).sum()
+    }
+
+    /// Number of solid voxels before each column, and in all: `nx·nz + 1` entries. Where the columns hold exposed
+    /// voxels, the position of each column's first colour.
+    pub fn voxel_offsets(&self) -> Vec<u64> {
+        let mut offsets = Vec::with_capacity(self.offsets.len());
+        let mut n = 0;
+        offsets.push(n);
+        for column in self.offsets.windows(2) {
+            n += self.runs[column[0] as usize..column[1] as usize].iter().map(|r| u64::from(r.len())).sum::<u64>();
+            offsets.push(n);
+        }
+        offsets
     }
 }
 

@@ -9,14 +9,31 @@
 //! file ──source──► Input ──build──► Scene ──write──► .pcast ──read──► Scene
 //! ```
 
+pub mod build;
+pub mod cli;
+pub mod column_rle;
 pub mod columns;
+pub mod decode;
 pub mod error;
+pub mod exposure;
+pub mod format;
+pub mod info;
 pub mod input;
+pub mod mips;
+pub mod read;
 pub mod run;
 pub mod scene;
+pub mod source;
+pub mod srgb;
+pub mod write;
 
+#[cfg(test)]
+mod testing;
+
+pub use build::{BuildOptions, build};
 pub use columns::{Columns, ColumnsBuilder};
 pub use error::{Error, Result};
 pub use input::{Colors, Input};
+pub use read::PcastFile;
 pub use run::Run;
 pub use scene::{ColorMode, Encoding, Level, MipRule, Rgb, Scene};

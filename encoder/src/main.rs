@@ -1,1 +1,32 @@
-fn main() {}
+//! `planecast-encode`: the commands of `planecast` that need no renderer.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use planecast_encoder::cli;
+
+/// Make, read back and look into .pcast scenes
+#[derive(clap::Parser)]
+#[command(name = "planecast-encode", version)]
+enum Command {
+    Encode(cli::EncodeArgs),
+    Decode(cli::DecodeArgs),
+    Info(cli::InfoArgs),
+    Query(cli::QueryArgs),
+}
+
+fn main() -> ExitCode {
+    let done = match Command::parse() {
+        Command::Encode(args) => args.run(),
+        Command::Decode(args) => args.run(),
+        Command::Info(args) => args.run(),
+        Command::Query(args) => args.run(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("planecast-encode: {error}");
+            cli::exit_status(&error).into()
+        }
+    }
+}

@@ -6,7 +6,7 @@ use crate::Columns;
 pub type Rgb = [u8; 3];
 
 /// What the geometry runs of a scene hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Encoding {
     /// Whole solid intervals (culls best).
@@ -16,9 +16,10 @@ pub enum Encoding {
 }
 
 /// How finely a scene is coloured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ColorMode {
+    /// Geometry alone.
     None,
     /// One colour a run of the encoded geometry.
     Run,
@@ -27,7 +28,7 @@ pub enum ColorMode {
 }
 
 /// When a voxel of a level is solid, given its up to eight children.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MipRule {
     /// Any child is solid: nothing vanishes, thin things thicken.

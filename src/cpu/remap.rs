@@ -6,7 +6,7 @@
 //! (Forstmann & Ohya 2009 §3.6, with the arrow turned round: they scatter textured lines, here pixels gather.)
 
 use crate::camera::Camera;
-use crate::cpu::traverse::{PlaneBuffer, SKY};
+use crate::cpu::traverse::{PlaneBuffer, Real, SKY};
 use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, vertical};
 use rayon::prelude::*;
 
@@ -15,6 +15,9 @@ pub const HOLE: u32 = u32::MAX;
 
 /// Rows that one task remaps: as many samples of a plane as a cache line holds.
 const ROWS_A_TASK: usize = 16;
+
+/// Columns of those rows that are remapped together: their planes' samples fit a first-level cache.
+const COLUMNS_A_BLOCK: u32 = 128;
 
 /// A pixel row cut at the fans' borders.
 pub struct Row<'a> {
@@ -81,26 +84,41 @@ impl<'a> Row<'a> {
     /// Calls `pixel(column, place)` for each column of a stretch.
     #[inline(always)]
     pub fn gather(&self, stretch: Stretch, mut pixel: impl FnMut(usize, Place)) {
+        let fan = self.setup.fans[stretch.fan];
+        if fan.n_planes == 0 {
+            return;
+        }
+        if fan.readjusted.is_some() {
+            return self.places(stretch, &fan, |x, sample, at| pixel(x, Place { plane: fan.plane_at(at), sample, at }));
+        }
+        let (per_pixel, last) = (1.0 / fan.spacing, f64::from(fan.n_planes - 1));
+        self.places(stretch, &fan, |x, sample, at| {
+            let plane = ((at - fan.start) * per_pixel).truncate(last) as u32;
+            pixel(x, Place { plane, sample, at });
+        });
+    }
+
+    /// Calls `place(column, sample, place on the far edge)` for each column of a stretch.
+    #[inline(always)]
+    fn places(&self, stretch: Stretch, fan: &Fan, mut place: impl FnMut(usize, u32, f64)) {
         let [vx, vy, vw] = self.setup.vanishing;
-        let fan = &self.setup.fans[stretch.fan];
-        let n = fan.n_samples;
+        let dy = vy - self.y * vw;
+        let (n, far) = (fan.n_samples, fan.far);
         if vertical(stretch.fan) {
             let sample = if fan.flip { n - 1 - self.row } else { self.row };
-            let dy = vy - self.y * vw;
-            let across = if dy == 0.0 { 0.0 } else { (fan.far - self.y) / dy };
+            let across = if dy == 0.0 { 0.0 } else { (far - self.y) / dy };
             // A pixel at x lies on the sight line through x + across·(vx − x·vw) of the far edge.
             let (scale, start) = (1.0 - across * vw, across * vx);
             for x in stretch.from..stretch.to {
-                let at = (f64::from(x) + 0.5) * scale + start;
-                pixel(x as usize, Place { plane: fan.plane_at(at), sample, at });
+                place(x as usize, sample, (f64::from(x as i32) + 0.5) * scale + start);
             }
         } else {
+            let (y, flip) = (self.y, fan.flip);
             for x in stretch.from..stretch.to {
-                let center = f64::from(x) + 0.5;
+                let center = f64::from(x as i32) + 0.5;
                 let dx = vx - center * vw;
-                let at = self.y + if dx == 0.0 { 0.0 } else { (fan.far - center) / dx * (vy - self.y * vw) };
-                let sample = if fan.flip { n - 1 - x } else { x };
-                pixel(x as usize, Place { plane: fan.plane_at(at), sample, at });
+                let at = y + if dx == 0.0 { 0.0 } else { (far - center) * dy / dx };
+                place(x as usize, if flip { n - 1 - x } else { x }, at);
             }
         }
     }
@@ -144,15 +162,24 @@ pub fn remap(setup: &Setup, buffer: &PlaneBuffer, width: u32, color: &mut [u32],
     let w = width as usize;
     let tasks = color.par_chunks_mut(ROWS_A_TASK * w).zip(depth.par_chunks_mut(ROWS_A_TASK * w)).enumerate();
     tasks.for_each(|(task, (color, depth))| {
-        for (r, (color, depth)) in color.chunks_mut(w).zip(depth.chunks_mut(w)).enumerate() {
-            let row = Row::new(setup, (task * ROWS_A_TASK + r) as u32, width);
-            for stretch in row.stretches() {
-                let fan = &setup.fans[stretch.fan];
-                row.gather(stretch, |x, place| {
-                    let i = fan.index(place.plane, place.sample);
-                    color[x] = buffer.color[i];
-                    depth[x] = buffer.depth[i];
-                });
+        let rows = color.len() / w;
+        let rows: Vec<_> = (0..rows).map(|r| Row::new(setup, (task * ROWS_A_TASK + r) as u32, width)).collect();
+        let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
+        for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
+            let to = (from + COLUMNS_A_BLOCK).min(width);
+            for (r, row) in rows.iter().enumerate() {
+                let (color, depth) = (&mut color[r * w..(r + 1) * w], &mut depth[r * w..(r + 1) * w]);
+                for s in stretches[r] {
+                    let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
+                    let fan = setup.fans[s.fan];
+                    let own = fan.first_sample..fan.first_sample + fan.n_planes as usize * fan.n_samples as usize;
+                    let (colors, depths) = (&buffer.color[own.clone()], &buffer.depth[own]);
+                    row.gather(part, |x, place| {
+                        let i = place.plane as usize * fan.n_samples as usize + place.sample as usize;
+                        color[x] = colors[i];
+                        depth[x] = depths[i];
+                    });
+                }
             }
         }
     });
@@ -215,16 +242,15 @@ pub fn remap_retest(
                 // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
                 let inverse = ray.to_array().map(|d| if d.abs() < 1e-30 { 1e30 } else { (1.0 / d) as f32 });
                 let own = fan.index(place.plane, place.sample);
-                let mut chosen = own;
-                let mut z = buffer.depth[own];
                 let own_voxel = buffer.voxel[own];
                 let hit = if own_voxel == SKY { None } else { boxes.enter(own_voxel, inverse) };
-                if let Some(near) = hit {
-                    z = near;
-                } else {
-                    let (found, near) = retest(setup, fan, buffer, &boxes, place, inverse, own);
-                    (chosen, z) = (found, near.unwrap_or(buffer.depth[found]));
-                }
+                let (chosen, z) = match hit {
+                    Some(near) => (own, near),
+                    None => {
+                        let (found, near) = retest(setup, fan, buffer, &boxes, place, inverse, own);
+                        (found, near.unwrap_or(buffer.depth[found]))
+                    }
+                };
                 color[x] = buffer.color[chosen];
                 depth[x] = z;
                 if let Some(v) = voxel.get_mut(x) {

@@ -1,0 +1,366 @@
+//! The byte layout of a `.pcast` file, version 1.
+//!
+//! Little-endian throughout. Files are written whole and never changed in place; every blob is readable by itself.
+//!
+//! ```text
+//! | Header 64 B | TileEntry 48 B × n_tiles ]-[ Blob ]-[ Blob …          - = zero bytes to a multiple of 16
+//!                                             |
+//! | BlobHeader 64 B | geometry table ]-[ geometry columns ]-[ fill ]-[ exposure table ]-[ exposure columns
+//!                                                              ]-[ colour table ]-[ colours ]
+//! ```
+//!
+//! # Header and directory
+//!
+//! ```text
+//! Header 64 B                                      TileEntry 48 B
+//!   magic              u8 × 8   0                    offset     u64   0  of the blob, from the file's start
+//!   version            u16 × 2  8  major, minor      checksum   u64   8  xxh3-64 of the blob
+//!   dims               u32 × 3  12 nx, ny, nz        n_solid    u64  16  solid voxels
+//!   encoding           u8       24 0 solid,          n_exposed  u64  24  voxels with an exposed face
+//!                                  1 surface         len        u32  32  of the blob
+//!   color              u8       25 0 none, 1 run,    n_runs     u32  36  geometry runs
+//!                                  2 voxel           y_min      u16  40  lowest solid voxel
+//!   mip_rule           u8       26 0 any,            y_max      u16  42  highest
+//!                                  1 majority        flags      u32  44  bit 0: no solid voxel; there is no blob
+//!   n_levels           u8       27                                       and all else is 0
+//!   n_tiles            u32      28
+//!   directory          u64      32 offset of the first TileEntry
+//!   file_len           u64      40
+//!   directory_checksum u64      48 xxh3-64 of the directory
+//!   checksum           u64      56 xxh3-64 of the 56 bytes before
+//! ```
+//!
+//! A level is half of the one before in x, y and z, rounded up; the last is the first with one column. Its columns
+//! are cut into tiles of 256 × 256 (fewer at the far edges). The directory lists the tiles of level 0, x fastest,
+//! then z, then those of level 1, and so on. Tiles with equal blobs share one; otherwise blobs do not overlap.
+//!
+//! A new major version is one that old readers must refuse; a new minor version adds what they may ignore.
+//!
+//! # Blob
+//!
+//! ```text
+//! BlobHeader 64 B
+//!   width    u16                  0   columns in x
+//!   depth    u16                  2   columns in z
+//!   long     u32                  4   bit 0, 1, 2: the geometry, exposure, colour table is a long one
+//!   sections { offset u32,        8   from the blob's start, ascending, multiples of 16; 0 where there is none
+//!              len u32 } × 7     12
+//! ```
+//!
+//! | section | holds | present |
+//! |---|---|---|
+//! | 0 geometry table | where each column starts in section 1 | always |
+//! | 1 geometry columns | [two-level lists](crate::column_rle): the solid runs, or (surface) the exposed ones | always |
+//! | 2 fill | bits, lowest first: whether the gap above a run is solid inside, not air | surface |
+//! | 3 exposure table | where each column starts in section 4 | solid with voxel colours |
+//! | 4 exposure columns | two-level lists of the exposed runs | solid with voxel colours |
+//! | 5 colour table | how many colours come before each column's | run and voxel colours |
+//! | 6 colours | `{ r u8, g u8, b u8 }`, sRGB: one a geometry run, or one an exposed voxel | run and voxel colours |
+//!
+//! Column `(x, z)` of a tile is number `z·width + x`. A **table** gives each column a start; it ends where the next
+//! starts, and the last at the section's end.
+//!
+//! ```text
+//! short   base u32 × depth, then offset u16 × depth·width      start = base[z] + offset[z·width + x]
+//! long    start u32 × depth·width                              where a row's offsets pass 65,535
+//! ```
+//!
+//! The fill bit of run `i` of the column that starts at byte `b` of section 1 is number `b/2 + i`: a run takes two
+//! bytes at least, so no two runs share a bit and no table is needed. Below the first run and above the last of a
+//! column all is air.
+//!
+//! # Reference decoder
+//!
+//! ```
+//! /// Whether voxel (x, y, z) of level 0 is solid.
+//! fn solid(file: &[u8], x: usize, y: usize, z: usize) -> bool {
+//!     let u16 = |at: usize| u16::from_le_bytes(file[at..at + 2].try_into().unwrap()) as usize;
+//!     let u32 = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+//!     let (nx, ny, surface) = (u32(12), u32(16), file[24] == 1);
+//!     let tile = u32(32) + 48 * (z / 256 * nx.div_ceil(256) + x / 256);
+//!     if u32(tile + 44) & 1 == 1 {
+//!         return false;
+//!     }
+//!     let blob = u32(tile); // A file of 4 GiB and more needs all eight bytes.
+//!     let (width, depth, long) = (u16(blob), u16(blob + 2), u32(blob + 4) & 1 == 1);
+//!     let [table, columns, fill, end] = [0, 1, 2, 1].map(|i| blob + u32(blob + 8 + 8 * i));
+//!     let start = |column: usize| match long {
+//!         _ if column == width * depth => u32(blob + 20),
+//!         true => u32(table + 4 * column),
+//!         false => u32(table + 4 * (column / width)) + u16(table + 4 * depth + 2 * column),
+//!     };
+//!     let column = z % 256 * width + x % 256;
+//!     let (at, end) = (columns + start(column), end + start(column + 1));
+//!     let mut runs = Vec::new(); // (start, voxels before)
+//!     if at == end {
+//!         return false;
+//!     } else if ny <= 256 {
+//!         runs.extend((at..end - 1).step_by(2).map(|i| (file[i] as usize, file[i + 1] as usize)));
+//!         runs.push((ny + 1, match file[end - 1] { 0 => 256, total => total as usize }));
+//!     } else {
+//!         let mut run = at + 2 + 6 * u16(at) + 2;
+//!         for bucket in (at + 2..).step_by(6).take(u16(at)) {
+//!             for _ in 0..file[bucket + 1] {
+//!                 runs.push((file[bucket] as usize * 256 + file[run] as usize, u16(bucket + 2) + file[run + 1] as usize));
+//!                 run += 2;
+//!             }
+//!         }
+//!         runs.push((ny + 1, match u16(at + 2 + 6 * u16(at)) { 0 => 65_536, total => total }));
+//!     }
+//!     let Some(i) = runs.iter().rposition(|r| r.0 <= y) else { return false };
+//!     let bit = start(column) / 2 + i;
+//!     y < runs[i].0 + runs[i + 1].1 - runs[i].1 || surface && file[fill + bit / 8] >> (bit % 8) & 1 == 1
+//! }
+//! # use planecast_encoder::{BuildOptions, Colors, Columns, Encoding, Input, build, write::write_scene};
+//! # let dir = tempfile::tempdir()?;
+//! # for (ny, encoding) in [(40, Encoding::Solid), (40, Encoding::Surface), (300, Encoding::Solid), (300, Encoding::Surface)] {
+//! #     let world = |x: u32, y: u32, z: u32| y <= 20 + x % 7 || y > 31 && (x ^ y ^ z) % 5 == 0;
+//! #     let columns = Columns::from_fn(270, ny, 9, world);
+//! #     let input = Input { columns, colors: Colors::None, notes: Vec::new() };
+//! #     let path = dir.path().join("world.pcast");
+//! #     write_scene(&build(input, &BuildOptions { encoding, ..Default::default() })?, &path)?;
+//! #     let file = std::fs::read(path)?;
+//! for (x, y, z) in (0..270).step_by(9).flat_map(|x| (0..ny).flat_map(move |y| (0..9).map(move |z| (x, y, z)))) {
+//!     assert_eq!(solid(&file, x as usize, y as usize, z as usize), world(x, y, z));
+//! }
+//! # }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use bytemuck::{Pod, Zeroable};
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::{ColorMode, Encoding, MipRule, mips};
+
+#[cfg(target_endian = "big")]
+compile_error!("the structures of .pcast are little-endian and used as they lie in the file");
+
+/// PNG's idea: the high bit, line ends and control-Z show a transfer that was not binary.
+pub const MAGIC: [u8; 8] = *b"\x89PCV\r\n\x1a\n";
+pub const VERSION: [u16; 2] = [1, 0];
+/// Columns of a tile along x and z.
+pub const TILE: u32 = 256;
+/// Blobs start at multiples of this in the file, sections in their blob.
+pub const ALIGN: u64 = 16;
+/// Columns of a level: their offsets alone take 8 GiB in memory.
+pub const MAX_COLUMNS: u64 = 1 << 31;
+/// [`TileEntry::flags`]: no solid voxel, no blob.
+pub const EMPTY: u32 = 1;
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Header {
+    pub magic: [u8; 8],
+    pub version: [u16; 2],
+    pub dims: [u32; 3],
+    pub encoding: u8,
+    pub color: u8,
+    pub mip_rule: u8,
+    pub n_levels: u8,
+    pub n_tiles: u32,
+    pub directory: u64,
+    pub file_len: u64,
+    pub directory_checksum: u64,
+    pub checksum: u64,
+}
+
+impl Header {
+    /// What `checksum` should be.
+    pub fn checksum(&self) -> u64 {
+        xxh3_64(&bytemuck::bytes_of(self)[..56])
+    }
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct TileEntry {
+    pub offset: u64,
+    pub checksum: u64,
+    pub n_solid: u64,
+    pub n_exposed: u64,
+    pub len: u32,
+    pub n_runs: u32,
+    pub y_min: u16,
+    pub y_max: u16,
+    pub flags: u32,
+}
+
+impl TileEntry {
+    pub fn is_empty(&self) -> bool {
+        self.flags & EMPTY != 0
+    }
+}
+
+/// Numbers of the sections of a blob.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Section {
+    GeometryTable,
+    Geometry,
+    Fill,
+    ExposureTable,
+    Exposure,
+    ColorTable,
+    Colors,
+}
+
+impl Section {
+    pub const ALL: [Section; 7] = [
+        Section::GeometryTable,
+        Section::Geometry,
+        Section::Fill,
+        Section::ExposureTable,
+        Section::Exposure,
+        Section::ColorTable,
+        Section::Colors,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Section::GeometryTable => "geometry table",
+            Section::Geometry => "geometry columns",
+            Section::Fill => "fill",
+            Section::ExposureTable => "exposure table",
+            Section::Exposure => "exposure columns",
+            Section::ColorTable => "colour table",
+            Section::Colors => "colours",
+        }
+    }
+
+    /// Whether the blobs of such a scene have this section.
+    pub fn present(self, encoding: Encoding, color: ColorMode) -> bool {
+        match self {
+            Section::GeometryTable | Section::Geometry => true,
+            Section::Fill => encoding == Encoding::Surface,
+            Section::ExposureTable | Section::Exposure => encoding == Encoding::Solid && color == ColorMode::Voxel,
+            Section::ColorTable | Section::Colors => color != ColorMode::None,
+        }
+    }
+
+    /// The bit of [`BlobHeader::long`] for a table.
+    pub fn long_bit(self) -> u32 {
+        match self {
+            Section::GeometryTable => 1,
+            Section::ExposureTable => 2,
+            Section::ColorTable => 4,
+            _ => 0,
+        }
+    }
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct BlobHeader {
+    pub width: u16,
+    pub depth: u16,
+    pub long: u32,
+    /// `[offset, len]`, by [`Section`].
+    pub sections: [[u32; 2]; 7],
+}
+
+pub fn encoding_code(encoding: Encoding) -> u8 {
+    encoding as u8
+}
+
+pub fn color_code(color: ColorMode) -> u8 {
+    color as u8
+}
+
+pub fn mip_rule_code(rule: MipRule) -> u8 {
+    rule as u8
+}
+
+/// The tiles of one level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// `[nx, ny, nz]` of the level.
+    pub dims: [u32; 3],
+    /// Tiles along x and z.
+    pub tiles: [u32; 2],
+    /// Number of the level's first tile in the directory.
+    pub first: u64,
+}
+
+impl Grid {
+    pub fn n_tiles(&self) -> u64 {
+        u64::from(self.tiles[0]) * u64::from(self.tiles[1])
+    }
+
+    /// The columns of a tile, along x and z.
+    pub fn columns(&self, tx: u32, tz: u32) -> [std::ops::Range<u32>; 2] {
+        let cut = |t: u32, n: u32| t * TILE..n.min((t * TILE).saturating_add(TILE));
+        [cut(tx, self.dims[0]), cut(tz, self.dims[2])]
+    }
+}
+
+/// The grids of all levels of a world.
+pub fn grids(dims: [u32; 3]) -> Vec<Grid> {
+    let mut grids = Vec::new();
+    let (mut dims, n, mut first) = (dims, mips::n_levels(dims), 0);
+    for _ in 0..n {
+        let grid = Grid { dims, tiles: [dims[0].div_ceil(TILE), dims[2].div_ceil(TILE)], first };
+        first += grid.n_tiles();
+        grids.push(grid);
+        dims = mips::next_dims(dims);
+    }
+    grids
+}
+
+#[cfg(test)]
+mod tests {
+    use std::mem::{offset_of, size_of};
+
+    use super::*;
+
+    /// The byte map in this module's documentation is the promise; the structs keep it.
+    #[test]
+    fn format_structs_lie_as_documented() {
+        assert_eq!(size_of::<Header>(), 64);
+        assert_eq!(offset_of!(Header, magic), 0);
+        assert_eq!(offset_of!(Header, version), 8);
+        assert_eq!(offset_of!(Header, dims), 12);
+        assert_eq!(offset_of!(Header, encoding), 24);
+        assert_eq!(offset_of!(Header, color), 25);
+        assert_eq!(offset_of!(Header, mip_rule), 26);
+        assert_eq!(offset_of!(Header, n_levels), 27);
+        assert_eq!(offset_of!(Header, n_tiles), 28);
+        assert_eq!(offset_of!(Header, directory), 32);
+        assert_eq!(offset_of!(Header, file_len), 40);
+        assert_eq!(offset_of!(Header, directory_checksum), 48);
+        assert_eq!(offset_of!(Header, checksum), 56);
+
+        assert_eq!(size_of::<TileEntry>(), 48);
+        assert_eq!(offset_of!(TileEntry, offset), 0);
+        assert_eq!(offset_of!(TileEntry, checksum), 8);
+        assert_eq!(offset_of!(TileEntry, n_solid), 16);
+        assert_eq!(offset_of!(TileEntry, n_exposed), 24);
+        assert_eq!(offset_of!(TileEntry, len), 32);
+        assert_eq!(offset_of!(TileEntry, n_runs), 36);
+        assert_eq!(offset_of!(TileEntry, y_min), 40);
+        assert_eq!(offset_of!(TileEntry, y_max), 42);
+        assert_eq!(offset_of!(TileEntry, flags), 44);
+
+        assert_eq!(size_of::<BlobHeader>(), 64);
+        assert_eq!(offset_of!(BlobHeader, width), 0);
+        assert_eq!(offset_of!(BlobHeader, depth), 2);
+        assert_eq!(offset_of!(BlobHeader, long), 4);
+        assert_eq!(offset_of!(BlobHeader, sections), 8);
+    }
+
+    #[test]
+    fn format_codes_are_as_documented() {
+        assert_eq!([Encoding::Solid, Encoding::Surface].map(encoding_code), [0, 1]);
+        assert_eq!([ColorMode::None, ColorMode::Run, ColorMode::Voxel].map(color_code), [0, 1, 2]);
+        assert_eq!([MipRule::Any, MipRule::Majority].map(mip_rule_code), [0, 1]);
+        assert_eq!(Section::ALL.map(|s| s as usize), [0, 1, 2, 3, 4, 5, 6]);
+    }
+
+    #[test]
+    fn format_grids_cover_every_column_once() {
+        let grids = grids([600, 9, 256]);
+        assert_eq!(grids.len(), 11);
+        assert_eq!(grids[0].tiles, [3, 1]);
+        assert_eq!(grids[0].columns(2, 0), [512..600, 0..256]);
+        assert_eq!((grids[1].first, grids[1].tiles, grids[1].dims), (3, [2, 1], [300, 5, 128]));
+        assert_eq!((grids[10].first, grids[10].tiles, grids[10].dims), (13, [1, 1], [1, 1, 1]));
+    }
+}

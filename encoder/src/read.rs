@@ -1,0 +1,1050 @@
+//! `.pcast` files, memory-mapped, and validated before they are trusted.
+//!
+//! [`PcastFile::open`] proves the header and the directory; [`PcastFile::tile`] proves one tile, every byte of it;
+//! [`PcastFile::read_scene`] all tiles, and that the exposed voxels are just those with an exposed face. A
+//! [`PcastFile::query`] checks its tile's checksum once and then reads one column.
+
+use std::fs::File;
+use std::ops::{Deref, Range};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use bytemuck::pod_read_unaligned;
+use rayon::prelude::*;
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::column_rle::{self, Form};
+use crate::format::{self, ALIGN, BlobHeader, EMPTY, Grid, Header, Section, TileEntry};
+use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
+
+/// What [`PcastFile::query`] finds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Voxel {
+    pub solid: bool,
+    /// None for air, in scenes without colours, and for hidden voxels that have none.
+    pub color: Option<Rgb>,
+}
+
+/// An open scene file with a valid header and directory.
+///
+/// The file is mapped, not copied: it must not be cut short while it is open. planecast itself only ever replaces
+/// files as a whole, which is safe.
+pub struct PcastFile {
+    path: PathBuf,
+    bytes: Bytes,
+    encoding: Encoding,
+    color: ColorMode,
+    mip_rule: MipRule,
+    grids: Vec<Grid>,
+    entries: Vec<TileEntry>,
+    /// Tiles whose checksum was found to be right.
+    checked: Vec<AtomicBool>,
+}
+
+enum Bytes {
+    Mapped(memmap2::Mmap),
+    Owned(Vec<u8>),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Bytes::Mapped(map) => map,
+            Bytes::Owned(bytes) => bytes,
+        }
+    }
+}
+
+impl PcastFile {
+    /// Maps a file and validates its header and directory.
+    pub fn open(path: impl AsRef<Path>) -> Result<PcastFile> {
+        let path = path.as_ref();
+        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        let meta = file.metadata().map_err(|e| Error::io(path, "read", e))?;
+        if !meta.is_file() {
+            return Err(Error::format(path, "not a regular file, a .pcast scene was expected"));
+        }
+        if meta.len() < size_of::<Header>() as u64 {
+            return Err(too_short(path, meta.len()));
+        }
+        // SAFETY: the map is read-only, and the type's documentation asks that nobody cuts the file short.
+        let map = unsafe { memmap2::Mmap::map(&file) }.map_err(|e| Error::io(path, "map", e))?;
+        PcastFile::new(path, Bytes::Mapped(map))
+    }
+
+    /// The same for a file in memory. `path` is what errors call it.
+    pub fn from_bytes(path: impl AsRef<Path>, bytes: Vec<u8>) -> Result<PcastFile> {
+        PcastFile::new(path.as_ref(), Bytes::Owned(bytes))
+    }
+
+    fn new(path: &Path, bytes: Bytes) -> Result<PcastFile> {
+        let wrong = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
+        let Some(header) = bytes.get(..size_of::<Header>()) else {
+            return Err(too_short(path, bytes.len() as u64));
+        };
+        let header: Header = pod_read_unaligned(header);
+        if header.magic != format::MAGIC {
+            return Err(Error::format(
+                path,
+                "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
+            ));
+        }
+        if header.version[0] != format::VERSION[0] {
+            return wrong(
+                8,
+                format!("version {} of .pcast, this program reads version {}", header.version[0], format::VERSION[0]),
+            );
+        }
+        if header.checksum != header.checksum() {
+            return wrong(56, "the header does not match its checksum; the file is damaged".into());
+        }
+        if header.file_len != bytes.len() as u64 {
+            let (found, expected) = (bytes.len(), header.file_len);
+            return wrong(
+                40,
+                format!("the file has {found} bytes, its header says {expected}; it was cut short or added to"),
+            );
+        }
+        let dims = header.dims;
+        let n_columns = u64::from(dims[0]) * u64::from(dims[2]);
+        if dims.contains(&0) || dims[1] > 65_536 || n_columns > format::MAX_COLUMNS {
+            return wrong(
+                12,
+                format!(
+                    "{} × {} × {} voxels; 1 to 65,536 high and at most 2³¹ columns were expected",
+                    dims[0], dims[1], dims[2]
+                ),
+            );
+        }
+        let encodings = [Encoding::Solid, Encoding::Surface];
+        let Some(&encoding) = encodings.get(header.encoding as usize) else {
+            return wrong(24, format!("encoding {}, 0 or 1 was expected", header.encoding));
+        };
+        let Some(&color) = [ColorMode::None, ColorMode::Run, ColorMode::Voxel].get(header.color as usize) else {
+            return wrong(25, format!("colour mode {}, 0 to 2 was expected", header.color));
+        };
+        let Some(&mip_rule) = [MipRule::Any, MipRule::Majority].get(header.mip_rule as usize) else {
+            return wrong(26, format!("mip rule {}, 0 or 1 was expected", header.mip_rule));
+        };
+        let grids = format::grids(dims);
+        if header.n_levels as usize != grids.len() {
+            return wrong(27, format!("{} levels, {} were expected", header.n_levels, grids.len()));
+        }
+        let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
+        if u64::from(header.n_tiles) != n_tiles {
+            return wrong(28, format!("{} tiles, {n_tiles} were expected", header.n_tiles));
+        }
+        let directory = usize::try_from(header.directory).ok().and_then(|start| {
+            let end = start.checked_add(header.n_tiles as usize * size_of::<TileEntry>())?;
+            bytes.get(start..end).filter(|_| start >= size_of::<Header>())
+        });
+        let Some(directory) = directory else {
+            return wrong(
+                32,
+                format!("a directory of {n_tiles} tiles at byte {} does not fit the file", header.directory),
+            );
+        };
+        if xxh3_64(directory) != header.directory_checksum {
+            return wrong(48, "the directory does not match its checksum; the file is damaged".into());
+        }
+        let entries: Vec<TileEntry> = directory.chunks_exact(size_of::<TileEntry>()).map(pod_read_unaligned).collect();
+        let directory_at = header.directory as usize;
+        let directory_end = header.directory + directory.len() as u64;
+        if let Err((tile, what)) = check_entries(&entries, directory_end, header.file_len) {
+            return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
+        }
+        let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
+        Ok(PcastFile { path: path.into(), bytes, encoding, color, mip_rule, grids, entries, checked })
+    }
+
+    /// The file's name, as given.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// `[nx, ny, nz]` of level 0.
+    pub fn dims(&self) -> [u32; 3] {
+        self.grids[0].dims
+    }
+
+    pub fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    pub fn color(&self) -> ColorMode {
+        self.color
+    }
+
+    pub fn mip_rule(&self) -> MipRule {
+        self.mip_rule
+    }
+
+    /// The tile grids of all levels, level 0 first.
+    pub fn grids(&self) -> &[Grid] {
+        &self.grids
+    }
+
+    /// The directory: all tiles of level 0, x fastest, then z, then those of level 1, and so on.
+    pub fn entries(&self) -> &[TileEntry] {
+        &self.entries
+    }
+
+    /// Bytes of the file.
+    pub fn file_len(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
+    fn tile_ix(&self, level: usize, tx: u32, tz: u32) -> usize {
+        let grid = &self.grids[level];
+        assert!(tx < grid.tiles[0] && tz < grid.tiles[1], "tile ({tx}, {tz}) of level {level} is outside the world");
+        grid.first as usize + tz as usize * grid.tiles[0] as usize + tx as usize
+    }
+
+    /// A tile's blob, its checksum checked on first use; None for an empty tile.
+    pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
+        let ix = self.tile_ix(level, tx, tz);
+        let entry = &self.entries[ix];
+        if entry.is_empty() {
+            return Ok(None);
+        }
+        // The directory's check keeps blobs inside the file.
+        let bytes = &self.bytes[entry.offset as usize..][..entry.len as usize];
+        let place = Place { file: self, level, tx, tz, offset: entry.offset };
+        if !self.checked[ix].load(Ordering::Relaxed) {
+            if xxh3_64(bytes) != entry.checksum {
+                return Err(place.error(0, "does not match its checksum; the file is damaged"));
+            }
+            self.checked[ix].store(true, Ordering::Relaxed);
+        }
+        Blob::new(place, bytes).map(Some)
+    }
+
+    /// One tile, after every byte of it was checked. Its columns are those of [`Grid::columns`], counted from 0.
+    ///
+    /// Panics if the file has no such tile.
+    pub fn tile(&self, level: usize, tx: u32, tz: u32) -> Result<Level> {
+        let [xs, zs] = self.grids[level].columns(tx, tz);
+        let ny = self.grids[level].dims[1];
+        let shows = self.encoding == Encoding::Surface || self.color == ColorMode::Voxel;
+        let Some(blob) = self.blob(level, tx, tz)? else {
+            let none = Columns::empty(xs.len() as u32, ny, zs.len() as u32);
+            return Ok(Level { exposed: shows.then(|| none.clone()), solid: none, colors: Vec::new() });
+        };
+        let geometry = blob.columns(Section::GeometryTable, Section::Geometry)?;
+        let (solid, exposed) = match self.encoding {
+            Encoding::Surface => (blob.filled(&geometry)?, Some(geometry)),
+            Encoding::Solid if shows => {
+                let exposed = blob.columns(Section::ExposureTable, Section::Exposure)?;
+                (geometry, Some(exposed))
+            }
+            Encoding::Solid => (geometry, None),
+        };
+        let mut level = Level { solid, exposed, colors: Vec::new() };
+        level.colors = match self.color {
+            ColorMode::None => Vec::new(),
+            ColorMode::Run => {
+                let starts: Vec<u64> = level.geometry(self.encoding).offsets().iter().map(|&n| u64::from(n)).collect();
+                blob.colors(&starts)?
+            }
+            ColorMode::Voxel => {
+                blob.colors(&level.exposed.as_ref().expect("read above for this mode").voxel_offsets())?
+            }
+        };
+        blob.check_figures(&level)?;
+        Ok(level)
+    }
+
+    /// The whole scene, every byte of it checked.
+    pub fn read_scene(&self) -> Result<Scene> {
+        let levels = (0..self.grids.len()).map(|k| self.level(k)).collect::<Result<_>>()?;
+        Ok(Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels })
+    }
+
+    /// One level, whole.
+    fn level(&self, k: usize) -> Result<Level> {
+        let grid = &self.grids[k];
+        let tiles: Vec<(u32, u32)> =
+            (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz))).collect();
+        // An empty tile costs 48 bytes in the file: its columns are not made before they are needed.
+        let tiles: Vec<Option<Level>> = tiles
+            .into_par_iter()
+            .map(|(tx, tz)| {
+                let empty = self.entries[self.tile_ix(k, tx, tz)].is_empty();
+                (!empty).then(|| self.tile(k, tx, tz)).transpose()
+            })
+            .collect::<Result<_>>()?;
+        let tile = |tx: u32, tz: u32| tiles[tz as usize * grid.tiles[0] as usize + tx as usize].as_ref();
+
+        let solid = self.join(k, |tx, tz| tile(tx, tz).map(|l| &l.solid))?;
+        let shows = self.encoding == Encoding::Surface || self.color == ColorMode::Voxel;
+        let exposed =
+            shows.then(|| self.join(k, |tx, tz| tile(tx, tz).and_then(|l| l.exposed.as_ref()))).transpose()?;
+        if let Some(exposed) = &exposed {
+            self.check_exposure(k, &solid, exposed)?;
+        }
+
+        let n_colors: usize = tiles.iter().flatten().map(|l| l.colors.len()).sum();
+        let mut colors = reserved(n_colors as u64, "colours")?;
+        if n_colors > 0 {
+            let starts: Vec<Option<Vec<u64>>> = tiles
+                .par_iter()
+                .map(|level| {
+                    let level = level.as_ref()?;
+                    Some(match self.color {
+                        ColorMode::Voxel => level.exposed.as_ref()?.voxel_offsets(),
+                        _ => level.geometry(self.encoding).offsets().iter().map(|&n| u64::from(n)).collect(),
+                    })
+                })
+                .collect();
+            for z in 0..grid.dims[2] {
+                for tx in 0..grid.tiles[0] {
+                    let ix = (z / format::TILE) as usize * grid.tiles[0] as usize + tx as usize;
+                    let (Some(level), Some(starts)) = (&tiles[ix], &starts[ix]) else { continue };
+                    let row = row(&level.solid, z);
+                    colors.extend_from_slice(&level.colors[starts[row.start] as usize..starts[row.end] as usize]);
+                }
+            }
+        }
+        Ok(Level { solid, exposed, colors })
+    }
+
+    /// Puts the columns of a level's tiles together.
+    fn join<'a>(&self, k: usize, tile: impl Fn(u32, u32) -> Option<&'a Columns>) -> Result<Columns> {
+        let grid = &self.grids[k];
+        let [nx, ny, nz] = grid.dims;
+        let tiles = || (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz)));
+        let n_runs: u64 = tiles().filter_map(|(tx, tz)| tile(tx, tz)).map(|c| c.runs().len() as u64).sum();
+        if u32::try_from(n_runs).is_err() {
+            return Err(Error::Limit(format!("level {k} has {n_runs} runs, a level holds at most 2³² − 1")));
+        }
+        let mut offsets: Vec<u32> = reserved(u64::from(nx) * u64::from(nz) + 1, "columns")?;
+        let mut runs: Vec<Run> = reserved(n_runs, "runs")?;
+        offsets.push(0);
+        for z in 0..nz {
+            for tx in 0..grid.tiles[0] {
+                let tz = z / format::TILE;
+                let base = runs.len() as u32;
+                match tile(tx, tz) {
+                    Some(columns) => {
+                        let row = row(columns, z);
+                        let part = &columns.offsets()[row.start..=row.end];
+                        offsets.extend(part[1..].iter().map(|o| base + (o - part[0])));
+                        runs.extend_from_slice(&columns.runs()[part[0] as usize..part[row.len()] as usize]);
+                    }
+                    None => offsets.resize(offsets.len() + grid.columns(tx, tz)[0].len(), base),
+                }
+            }
+        }
+        Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
+    }
+
+    /// The exposed voxels must be just those with an exposed face: renderers look up colours by them.
+    fn check_exposure(&self, k: usize, solid: &Columns, exposed: &Columns) -> Result<()> {
+        let expected = exposure::exposed(solid);
+        if expected == *exposed {
+            return Ok(());
+        }
+        let n_columns = solid.offsets().len() - 1;
+        let of = |columns: &Columns, ix: usize| columns.runs()[columns.range(ix)].to_vec();
+        let ix = (0..n_columns).find(|&ix| of(&expected, ix) != of(exposed, ix)).unwrap_or(0);
+        let (x, z) = (ix % solid.nx() as usize, ix / solid.nx() as usize);
+        Err(Error::format(
+            &self.path,
+            format!(
+                "level {k} column ({x}, {z}): the exposed voxels are not those with an exposed face; encode the scene again"
+            ),
+        ))
+    }
+
+    /// One voxel of level 0; outside the world is air.
+    ///
+    /// Reads one column, by two binary searches, after the checksum of its tile was checked once.
+    pub fn query(&self, x: i64, y: i64, z: i64) -> Result<Voxel> {
+        const AIR: Voxel = Voxel { solid: false, color: None };
+        let inside = |v: i64, n: u32| u32::try_from(v).ok().filter(|&v| v < n);
+        let [nx, ny, nz] = self.dims();
+        let (Some(x), Some(y), Some(z)) = (inside(x, nx), inside(y, ny), inside(z, nz)) else { return Ok(AIR) };
+        let Some(blob) = self.blob(0, x / format::TILE, z / format::TILE)? else { return Ok(AIR) };
+        let form = Form::of(ny);
+        let ix = (z % format::TILE) as usize * blob.width + (x % format::TILE) as usize;
+
+        let (start, column) = blob.column(Section::GeometryTable, Section::Geometry, ix)?;
+        let Some(place) = column_rle::at_or_below(column, form, y) else { return Ok(AIR) };
+        let shown = (y - place.start < place.len).then(|| place.color + (y - place.start));
+        if shown.is_none() && !(self.encoding == Encoding::Surface && blob.fill(start / 2 + place.run)) {
+            return Ok(AIR);
+        }
+        let color = match (self.color, self.encoding) {
+            (ColorMode::None, _) => None,
+            (ColorMode::Run, _) => shown.map(|_| place.run),
+            (ColorMode::Voxel, Encoding::Surface) => shown.map(|color| color as usize),
+            (ColorMode::Voxel, Encoding::Solid) => {
+                let (_, column) = blob.column(Section::ExposureTable, Section::Exposure, ix)?;
+                column_rle::find(column, form, y).map(|(_, color)| color as usize)
+            }
+        };
+        let color = color.map(|i| blob.color(ix, i)).transpose()?;
+        Ok(Voxel { solid: true, color })
+    }
+}
+
+fn too_short(path: &Path, len: u64) -> Error {
+    Error::format(path, format!("{len} bytes; a .pcast scene has a header of 64"))
+}
+
+/// An empty vector with room for `n` values, or an error instead of an abort.
+fn reserved<T>(n: u64, what: &str) -> Result<Vec<T>> {
+    let mut values = Vec::new();
+    usize::try_from(n)
+        .ok()
+        .and_then(|n| values.try_reserve_exact(n).ok())
+        .ok_or_else(|| Error::Limit(format!("no memory for {n} {what}")))?;
+    Ok(values)
+}
+
+/// The columns of row `z` of the world in the tile that holds it.
+fn row(tile: &Columns, z: u32) -> Range<usize> {
+    let row = (z % format::TILE) as usize;
+    row * tile.nx() as usize..(row + 1) * tile.nx() as usize
+}
+
+/// Bounds and overlaps; an error names the tile by its number in the directory.
+fn check_entries(entries: &[TileEntry], directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
+    let mut blobs = Vec::new();
+    for (i, e) in entries.iter().enumerate() {
+        if e.is_empty() {
+            if *e != (TileEntry { flags: EMPTY, ..bytemuck::Zeroable::zeroed() }) {
+                return Err((i, "an empty tile has figures".into()));
+            }
+            continue;
+        }
+        if e.flags != 0 {
+            return Err((i, format!("flags {:#x}, 0 or 1 was expected", e.flags)));
+        }
+        if !e.offset.is_multiple_of(ALIGN) {
+            return Err((i, format!("blob at byte {}, a multiple of {ALIGN} was expected", e.offset)));
+        }
+        let end = e.offset.checked_add(u64::from(e.len));
+        if e.offset < directory_end || end.is_none_or(|end| end > file_len) {
+            return Err((i, format!("blob of {} bytes at byte {} does not fit the file", e.len, e.offset)));
+        }
+        blobs.push(i);
+    }
+    blobs.sort_unstable_by_key(|&i| entries[i].offset);
+    for pair in blobs.windows(2) {
+        let [a, b] = [entries[pair[0]], entries[pair[1]]];
+        let same = (a.offset, a.len, a.checksum) == (b.offset, b.len, b.checksum);
+        if !same && b.offset < a.offset + u64::from(a.len) {
+            return Err((pair[1], format!("blob at byte {} overlaps that of tile {}", b.offset, pair[0])));
+        }
+    }
+    Ok(())
+}
+
+/// Where a blob is, for errors.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    file: &'a PcastFile,
+    level: usize,
+    tx: u32,
+    tz: u32,
+    /// Of the blob in the file.
+    offset: u64,
+}
+
+impl Place<'_> {
+    fn error(&self, at: usize, what: impl std::fmt::Display) -> Error {
+        let (level, tx, tz, at) = (self.level, self.tx, self.tz, self.offset + at as u64);
+        Error::format(&self.file.path, format!("tile ({tx}, {tz}) of level {level}, byte {at}: {what}"))
+    }
+}
+
+/// A tile's bytes, cut into sections that lie inside it. What the sections hold is not yet checked.
+pub(crate) struct Blob<'a> {
+    place: Place<'a>,
+    bytes: &'a [u8],
+    header: BlobHeader,
+    width: usize,
+    depth: usize,
+}
+
+impl<'a> Blob<'a> {
+    fn new(place: Place<'a>, bytes: &'a [u8]) -> Result<Blob<'a>> {
+        let file = place.file;
+        let Some(header) = bytes.get(..size_of::<BlobHeader>()) else {
+            return Err(place.error(0, format!("{} bytes; a blob has a header of 64", bytes.len())));
+        };
+        let header: BlobHeader = pod_read_unaligned(header);
+        let [xs, zs] = file.grids[place.level].columns(place.tx, place.tz);
+        let (width, depth) = (xs.len(), zs.len());
+        if (header.width as usize, header.depth as usize) != (width, depth) {
+            let (w, d) = (header.width, header.depth);
+            return Err(place.error(0, format!("{w} × {d} columns, {width} × {depth} were expected")));
+        }
+        let mut end = size_of::<BlobHeader>() as u64;
+        let mut bits = 0;
+        for section in Section::ALL {
+            let [offset, len] = header.sections[section as usize].map(u64::from);
+            let wrong = |what: String| {
+                Err(place.error(8 + 8 * section as usize, format!("section {}: {what}", section.name())))
+            };
+            if !section.present(file.encoding, file.color) {
+                if offset != 0 || len != 0 {
+                    return wrong("present, but not in scenes of this kind".into());
+                }
+                continue;
+            }
+            bits |= section.long_bit();
+            if offset < end || !offset.is_multiple_of(ALIGN) || offset + len > bytes.len() as u64 {
+                return wrong(format!("{len} bytes at {offset} of a blob with {}", bytes.len()));
+            }
+            end = offset + len;
+            let long = header.long & section.long_bit() != 0;
+            let expected = match section {
+                Section::GeometryTable | Section::ExposureTable | Section::ColorTable if long => 4 * width * depth,
+                Section::GeometryTable | Section::ExposureTable | Section::ColorTable => 4 * depth + 2 * width * depth,
+                Section::Fill => (header.sections[Section::Geometry as usize][1] as usize).div_ceil(16),
+                Section::Colors => (len - len % 3) as usize,
+                Section::Geometry | Section::Exposure => len as usize,
+            };
+            if len != expected as u64 {
+                return wrong(format!("{len} bytes, {expected} were expected"));
+            }
+        }
+        if header.long & !bits != 0 {
+            return Err(place.error(4, format!("table forms {:#x}, only bits of {bits:#x} were expected", header.long)));
+        }
+        if end != bytes.len() as u64 {
+            return Err(place.error(0, format!("{} bytes, its sections end at {end}", bytes.len())));
+        }
+        Ok(Blob { place, bytes, header, width, depth })
+    }
+
+    pub(crate) fn section(&self, section: Section) -> &'a [u8] {
+        let [offset, len] = self.header.sections[section as usize].map(|n| n as usize);
+        &self.bytes[offset..offset + len]
+    }
+
+    /// Of the blob in the file.
+    pub(crate) fn file_offset(&self) -> u64 {
+        self.place.offset
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.bytes.len()
+    }
+
+    fn offset(&self, section: Section) -> usize {
+        self.header.sections[section as usize][0] as usize
+    }
+
+    /// The start that `table` gives to column number `ix`; `end` past the last.
+    fn start(&self, table: Section, ix: usize, end: usize) -> usize {
+        let bytes = self.section(table);
+        let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize;
+        if ix == self.width * self.depth {
+            end
+        } else if self.header.long & table.long_bit() != 0 {
+            u32_at(4 * ix)
+        } else {
+            let at = 4 * self.depth + 2 * ix;
+            u32_at(4 * (ix / self.width)) + u16::from_le_bytes([bytes[at], bytes[at + 1]]) as usize
+        }
+    }
+
+    /// Start and bytes of column number `ix`.
+    fn column(&self, table: Section, lists: Section, ix: usize) -> Result<(usize, &'a [u8])> {
+        let bytes = self.section(lists);
+        let (start, end) = (self.start(table, ix, bytes.len()), self.start(table, ix + 1, bytes.len()));
+        let column = bytes.get(start..end).ok_or_else(|| {
+            let what = format!("bytes {start} to {end} of {} in section {}", bytes.len(), lists.name());
+            self.column_error(table, 0, ix, what)
+        })?;
+        Ok((start, column))
+    }
+
+    fn column_error(&self, section: Section, at: usize, ix: usize, what: impl std::fmt::Display) -> Error {
+        let (x, z) = (ix % self.width, ix / self.width);
+        self.place.error(self.offset(section) + at, format!("column ({x}, {z}) of the tile: {what}"))
+    }
+
+    /// All columns of a list, checked.
+    fn columns(&self, table: Section, lists: Section) -> Result<Columns> {
+        let ny = self.place.file.grids[self.place.level].dims[1];
+        let form = Form::of(ny);
+        let n_columns = self.width * self.depth;
+        let mut offsets = Vec::with_capacity(n_columns + 1);
+        let mut runs = Vec::new();
+        offsets.push(0);
+        let mut end = 0;
+        for ix in 0..n_columns {
+            let (start, column) = self.column(table, lists, ix)?;
+            if start != end {
+                return Err(self.column_error(table, 0, ix, format!("starts at byte {start}, {end} was expected")));
+            }
+            end = start + column.len();
+            column_rle::decode(column, form, ny, &mut runs)
+                .map_err(|fault| self.column_error(lists, start + fault.at, ix, fault.what))?;
+            // A tile has at most 65,536 columns of 32,768 runs.
+            offsets.push(runs.len() as u32);
+        }
+        if end != self.section(lists).len() {
+            return Err(self.place.error(self.offset(lists) + end, "bytes that belong to no column"));
+        }
+        Ok(Columns::from_parts(self.width as u32, ny, self.depth as u32, offsets, runs))
+    }
+
+    fn fill(&self, bit: usize) -> bool {
+        self.section(Section::Fill).get(bit / 8).is_some_and(|b| b >> (bit % 8) & 1 == 1)
+    }
+
+    /// The solid runs of a surface tile: its runs and the gaps whose fill bit is set.
+    fn filled(&self, shown: &Columns) -> Result<Columns> {
+        let mut solid = ColumnsBuilder::new(shown.nx(), shown.ny(), shown.nz());
+        for ix in 0..self.width * self.depth {
+            let (start, _) = self.column(Section::GeometryTable, Section::Geometry, ix)?;
+            let runs = &shown.runs()[shown.range(ix)];
+            for (i, run) in runs.iter().enumerate() {
+                let mut run = *run;
+                let bit = start / 2 + i;
+                if self.fill(bit) {
+                    let Some(above) = runs.get(i + 1) else {
+                        let what = "the gap above the last run is marked as solid";
+                        return Err(self.column_error(Section::Fill, bit / 8, ix, what));
+                    };
+                    // Merges with the run above when that is pushed.
+                    run = Run::new(run.first(), above.first() - 1);
+                }
+                solid.push_run(run);
+            }
+            solid.end_column();
+        }
+        Ok(solid.finish())
+    }
+
+    fn color(&self, ix: usize, i: usize) -> Result<Rgb> {
+        let at = 3 * (self.start(Section::ColorTable, ix, 0) + i);
+        let color = self.section(Section::Colors).get(at..at + 3);
+        let color = color.ok_or_else(|| self.column_error(Section::ColorTable, 0, ix, format!("has no colour {i}")))?;
+        Ok([color[0], color[1], color[2]])
+    }
+
+    /// All colours. `starts` is the number before each column, and in all.
+    fn colors(&self, starts: &[u64]) -> Result<Vec<Rgb>> {
+        let bytes = self.section(Section::Colors);
+        let n = starts[starts.len() - 1];
+        if bytes.len() as u64 != 3 * n {
+            let what = format!("{} bytes of colours, {} were expected", bytes.len(), 3 * n);
+            return Err(self.place.error(self.offset(Section::Colors), what));
+        }
+        for (ix, &expected) in starts[..starts.len() - 1].iter().enumerate() {
+            let found = self.start(Section::ColorTable, ix, 0);
+            if found as u64 != expected {
+                let what = format!("{found} colours before it, {expected} were expected");
+                return Err(self.column_error(Section::ColorTable, 0, ix, what));
+            }
+        }
+        Ok(bytes.as_chunks::<3>().0.to_vec())
+    }
+
+    /// The figures of the directory must be those of the tile.
+    fn check_figures(&self, level: &Level) -> Result<()> {
+        let place = &self.place;
+        let entry = &place.file.entries[place.file.tile_ix(place.level, place.tx, place.tz)];
+        let runs = level.solid.runs();
+        let found = TileEntry {
+            n_solid: level.solid.voxels(),
+            // Without exposed runs only the neighbour tiles could tell.
+            n_exposed: level.exposed.as_ref().map_or(entry.n_exposed, Columns::voxels),
+            n_runs: level.geometry(place.file.encoding).runs().len() as u32,
+            y_min: runs.iter().map(|r| r.first()).min().unwrap_or(u16::MAX),
+            y_max: runs.iter().map(|r| r.last()).max().unwrap_or(0),
+            ..*entry
+        };
+        if found != *entry {
+            return Err(
+                place.error(0, format!("holds {}, its directory entry says {}", figures(&found), figures(entry)))
+            );
+        }
+        Ok(())
+    }
+}
+
+fn figures(e: &TileEntry) -> String {
+    format!(
+        "{} solid and {} exposed voxels, {} runs, heights {} to {}",
+        e.n_solid, e.n_exposed, e.n_runs, e.y_min, e.y_max
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::mem::offset_of;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::testing::{self, voxel_positions};
+    use crate::write::{write_scene, write_scene_to};
+    use crate::{BuildOptions, build};
+
+    const MODES: [(Encoding, ColorMode); 6] = [
+        (Encoding::Solid, ColorMode::None),
+        (Encoding::Solid, ColorMode::Run),
+        (Encoding::Solid, ColorMode::Voxel),
+        (Encoding::Surface, ColorMode::None),
+        (Encoding::Surface, ColorMode::Run),
+        (Encoding::Surface, ColorMode::Voxel),
+    ];
+
+    fn scene(columns: Columns, (encoding, color): (Encoding, ColorMode)) -> Scene {
+        let opts = BuildOptions { encoding, color: Some(color), ..Default::default() };
+        build(testing::input(columns, color != ColorMode::None), &opts).unwrap()
+    }
+
+    fn written(scene: &Scene) -> Vec<u8> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        write_scene_to(scene, &mut bytes, Path::new("a.pcast")).unwrap();
+        bytes.into_inner()
+    }
+
+    fn opened(bytes: Vec<u8>) -> Result<PcastFile> {
+        PcastFile::from_bytes("a.pcast", bytes)
+    }
+
+    fn read(bytes: Vec<u8>) -> Result<Scene> {
+        opened(bytes)?.read_scene()
+    }
+
+    /// Text of the error that `bytes` must give.
+    fn refused(bytes: Vec<u8>) -> String {
+        read(bytes).expect_err("a planted fault must be found").to_string()
+    }
+
+    /// Makes every checksum right again, so that what is behind them is reached.
+    fn reseal(bytes: &mut [u8]) {
+        let header: Header = pod_read_unaligned(&bytes[..64]);
+        let start = header.directory as usize;
+        let Some(end) = start.checked_add(48 * header.n_tiles as usize).filter(|&end| end <= bytes.len()) else {
+            return;
+        };
+        for at in (start..end).step_by(48) {
+            let entry: TileEntry = pod_read_unaligned(&bytes[at..at + 48]);
+            let blob = (entry.offset as usize)
+                .checked_add(entry.len as usize)
+                .and_then(|end| bytes.get(entry.offset as usize..end));
+            if let Some(checksum) = blob.filter(|_| !entry.is_empty()).map(xxh3_64) {
+                bytes[at + 8..at + 16].copy_from_slice(&checksum.to_le_bytes());
+            }
+        }
+        let checksum = xxh3_64(&bytes[start..end]);
+        bytes[48..56].copy_from_slice(&checksum.to_le_bytes());
+        let checksum = xxh3_64(&bytes[..56]);
+        bytes[56..64].copy_from_slice(&checksum.to_le_bytes());
+    }
+
+    fn check_round_trip(columns: Columns) {
+        for mode in MODES {
+            let scene = scene(columns.clone(), mode);
+            let file = opened(written(&scene)).unwrap();
+            assert_eq!(file.read_scene().unwrap(), scene, "{mode:?}");
+            check_queries(&file, &scene);
+        }
+    }
+
+    fn check_queries(file: &PcastFile, scene: &Scene) {
+        let level = &scene.levels[0];
+        let [nx, ny, nz] = scene.dims();
+        let shown = level.exposed.as_ref().map(voxel_positions);
+        for (x, z) in (0..nx).flat_map(|x| (0..nz).map(move |z| (x, z))) {
+            for y in 0..ny {
+                let solid = level.solid.find(x, y, z).is_some();
+                let color = match scene.color {
+                    ColorMode::None => None,
+                    ColorMode::Run => level.geometry(scene.encoding).find(x, y, z).map(|i| level.colors[i]),
+                    ColorMode::Voxel => shown.as_ref().unwrap().get(&(x, y, z)).map(|&i| level.colors[i]),
+                };
+                let found = file.query(x.into(), y.into(), z.into()).unwrap();
+                assert_eq!(found, Voxel { solid, color }, "({x}, {y}, {z})");
+            }
+        }
+        let outside = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (nx.into(), 0, 0), (0, ny.into(), 0), (0, 0, nz.into())];
+        for (x, y, z) in outside {
+            assert_eq!(file.query(x, y, z).unwrap(), Voxel { solid: false, color: None });
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn pcast_gives_back_small_scenes(columns in testing::small_world()) {
+            check_round_trip(columns);
+        }
+
+        #[test]
+        fn pcast_gives_back_tall_scenes(columns in testing::tall_world(900)) {
+            check_round_trip(columns);
+        }
+    }
+
+    /// Several tiles, some of them empty, hidden voxels across tile borders.
+    fn hills() -> Columns {
+        Columns::from_fn(530, 24, 270, |x, y, z| x < 300 && (y < 12 + (x * z) % 5 || (x ^ z) % 31 == y))
+    }
+
+    #[test]
+    fn pcast_gives_back_scenes_of_several_tiles() {
+        for mode in MODES {
+            let scene = scene(hills(), mode);
+            let file = opened(written(&scene)).unwrap();
+            assert!(file.entries().iter().any(TileEntry::is_empty));
+            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+            let tile = file.tile(0, 1, 1).unwrap();
+            assert_eq!(tile.solid.dims(), [256, 24, 14]);
+            assert_eq!(tile.solid.column(3, 5), scene.levels[0].solid.column(259, 261));
+            assert!(file.tile(0, 2, 0).unwrap().solid.runs().is_empty());
+        }
+    }
+
+    #[test]
+    fn pcast_gives_back_the_tallest_columns() {
+        // Full, every second voxel (32,768 runs), empty, one run a bucket.
+        let columns = Columns::from_fn(2, 65_536, 2, |x, y, z| match (x, z) {
+            (0, 0) => true,
+            (1, 0) => y % 2 == 1,
+            (0, _) => false,
+            _ => y % 256 < 3,
+        });
+        for mode in MODES {
+            let scene = Scene { mip_rule: MipRule::Majority, ..scene(columns.clone(), mode) };
+            let file = opened(written(&scene)).unwrap();
+            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+            let solid = |x, y, z| file.query(x, y, z).unwrap().solid;
+            assert!(solid(0, 0, 0) && solid(0, 40_000, 0) && solid(0, 65_535, 0));
+            assert!(!solid(1, 65_534, 0) && solid(1, 65_535, 0) && !solid(0, 9, 1));
+            assert!(solid(1, 65_282, 1) && !solid(1, 65_283, 1) && !solid(1, 65_535, 1));
+        }
+    }
+
+    #[test]
+    fn pcast_rows_over_64_kib_have_long_tables() {
+        // 528 bytes a column; 33 are enough for colours, none for the narrow top levels.
+        let columns = Columns::from_fn(256, 512, 3, |x, y, z| (x + y + z) % 2 == 0);
+        for mode in MODES {
+            let scene = scene(columns.clone(), mode);
+            let file = opened(written(&scene)).unwrap();
+            let blob = file.blob(0, 0, 0).unwrap().unwrap();
+            let long = |s: Section| if s.present(mode.0, mode.1) { s.long_bit() } else { 0 };
+            let colors = if mode.1 == ColorMode::None { 0 } else { 256 * 255 };
+            assert!(colors < 65_536, "a row of colours still fits 16 bits");
+            assert_eq!(blob.header.long, long(Section::GeometryTable) | long(Section::ExposureTable));
+            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+        }
+    }
+
+    #[test]
+    fn pcast_mapped_files_are_read_like_bytes() {
+        let scene = scene(hills(), (Encoding::Solid, ColorMode::Voxel));
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.pcast");
+        write_scene(&scene, &path).unwrap();
+        assert!(std::fs::read(&path).unwrap() == written(&scene));
+        assert!(PcastFile::open(&path).unwrap().read_scene().unwrap() == scene);
+        let error = |path: &Path| PcastFile::open(path).err().expect("no scene here").to_string();
+        assert!(error(&dir.path().join("none")).contains("cannot open: "));
+        assert!(error(dir.path()).ends_with("not a regular file, a .pcast scene was expected"));
+        std::fs::write(&path, "").unwrap();
+        assert!(error(&path).ends_with("0 bytes; a .pcast scene has a header of 64"));
+    }
+
+    #[test]
+    fn pcast_bytes_do_not_depend_on_threads() {
+        let scene = scene(hills(), (Encoding::Solid, ColorMode::Voxel));
+        let with = |n: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+            pool.install(|| written(&build(testing::input(hills(), true), &BuildOptions::default()).unwrap()))
+        };
+        let bytes = with(1);
+        assert!(bytes == with(4));
+        assert!(bytes == written(&scene));
+    }
+
+    #[test]
+    fn pcast_stores_equal_tiles_once() {
+        let bytes = written(&scene(Columns::from_fn(1024, 9, 512, |_, y, _| y < 5), MODES[0]));
+        let file = opened(bytes).unwrap();
+        let offsets: Vec<u64> = file.entries()[..8].iter().map(|e| e.offset).collect();
+        assert_eq!(offsets, [offsets[0]; 8]);
+        assert_ne!(file.entries()[8].offset, offsets[0]);
+        file.read_scene().unwrap();
+    }
+
+    #[test]
+    fn pcast_blobs_and_sections_are_aligned() {
+        for mode in MODES {
+            let file = opened(written(&scene(hills(), mode))).unwrap();
+            assert!(file.entries().iter().all(|e| e.offset % 16 == 0));
+            let blob = file.blob(0, 0, 0).unwrap().unwrap();
+            for section in Section::ALL {
+                assert_eq!(section.present(mode.0, mode.1), blob.offset(section) > 0);
+                assert_eq!(blob.offset(section) % 16, 0);
+            }
+        }
+    }
+
+    /// Small, but with every section, a hidden voxel, both edges of a level.
+    fn small() -> Columns {
+        Columns::from_fn(5, 9, 3, |x, y, z| y < 4 + x % 2 || y == 7 && z == 1)
+    }
+
+    #[test]
+    fn pcast_damage_to_any_byte_is_found() {
+        for mode in MODES {
+            let scene = scene(small(), mode);
+            let good = written(&scene);
+            for at in 0..good.len() {
+                for flip in [0x01, 0x80, 0xFF] {
+                    let mut bytes = good.clone();
+                    bytes[at] ^= flip;
+                    match read(bytes) {
+                        // Padding between blobs belongs to nobody.
+                        Ok(found) => assert!(found == scene, "{mode:?} byte {at} ^ {flip:#x}"),
+                        Err(e) => assert!(matches!(e, Error::Format { .. }), "{mode:?} byte {at} ^ {flip:#x}: {e}"),
+                    }
+                }
+            }
+            for len in 0..good.len() {
+                assert!(read(good[..len].to_vec()).is_err(), "{mode:?} cut to {len}");
+            }
+            let longer = [&good[..], &[0]].concat();
+            assert!(refused(longer).contains("it was cut short or added to"));
+        }
+    }
+
+    #[test]
+    fn pcast_forged_bytes_never_panic_and_never_give_a_broken_scene() {
+        for (world, mode) in [small(), Columns::from_fn(2, 300, 2, |x, y, _| y % 260 < 3 + x)]
+            .into_iter()
+            .flat_map(|world| MODES.map(|mode| (world.clone(), mode)))
+        {
+            let good = written(&scene(world, mode));
+            for at in 0..good.len() {
+                for value in [0, 1, 2, 0x7F, 0xFF, good[at] ^ 1, good[at].wrapping_add(1), good[at].wrapping_sub(1)] {
+                    let mut bytes = good.clone();
+                    bytes[at] = value;
+                    reseal(&mut bytes);
+                    let Ok(file) = opened(bytes) else { continue };
+                    for (x, y, z) in [(0, 0, 0), (1, 8, 1), (1, 259, 1), (4, 4, 2)] {
+                        let _ = file.query(x, y, z);
+                    }
+                    if let Ok(scene) = file.read_scene() {
+                        // Whatever was accepted is a scene like any other.
+                        assert!(read(written(&scene)).unwrap() == scene, "{mode:?} byte {at} = {value:#x}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pcast_errors_name_place_and_expectation() {
+        let good = written(&scene(small(), (Encoding::Surface, ColorMode::Voxel)));
+        let header = |at: usize, value: &[u8]| {
+            let mut bytes = good.clone();
+            bytes[at..at + value.len()].copy_from_slice(value);
+            reseal(&mut bytes);
+            refused(bytes)
+        };
+        assert_eq!(refused(vec![1; 20]), "a.pcast: 20 bytes; a .pcast scene has a header of 64");
+        assert_eq!(
+            header(0, b"P"),
+            "a.pcast: not a .pcast scene (byte 0: other magic number); make one with `planecast encode`"
+        );
+        assert_eq!(header(8, &[2]), "a.pcast: byte 8: version 2 of .pcast, this program reads version 1");
+        assert_eq!(header(24, &[7]), "a.pcast: byte 24: encoding 7, 0 or 1 was expected");
+        assert_eq!(header(27, &[9]), "a.pcast: byte 27: 9 levels, 4 were expected");
+        assert_eq!(header(32, &[8]), "a.pcast: byte 32: a directory of 4 tiles at byte 8 does not fit the file");
+        assert!(header(12, &[0, 0]).starts_with("a.pcast: byte 12: 0 × 9 × 3 voxels;"));
+        let mut bytes = good.clone();
+        bytes[20] ^= 1;
+        assert_eq!(refused(bytes), "a.pcast: byte 56: the header does not match its checksum; the file is damaged");
+
+        let entry = |field: usize, value: &[u8]| header(64 + field, value);
+        assert_eq!(
+            entry(offset_of!(TileEntry, offset), &[1]),
+            "a.pcast: byte 64: tile 0: blob at byte 257, a multiple of 16 was expected"
+        );
+        assert!(entry(offset_of!(TileEntry, len), &[0xFF; 4]).contains("does not fit the file"));
+        assert!(entry(offset_of!(TileEntry, flags), &[1]).contains("an empty tile has figures"));
+        assert!(entry(offset_of!(TileEntry, n_runs), &[0xFE]).contains("its directory entry says"));
+        let second = u64::from_le_bytes(good[64 + 48..64 + 56].try_into().unwrap());
+        let third = (second + 16).to_le_bytes();
+        assert!(header(64 + 2 * 48, &third).contains("overlaps that of tile"));
+
+        let mut bytes = good.clone();
+        bytes[second as usize + 70] ^= 1;
+        let damaged =
+            format!("a.pcast: tile (0, 0) of level 1, byte {second}: does not match its checksum; the file is damaged");
+        assert_eq!(refused(bytes), damaged);
+    }
+
+    /// Level 0's blob with one byte of a section replaced, checksums made right.
+    fn forged(mode: (Encoding, ColorMode), section: Section, at: usize, value: u8) -> String {
+        let bytes = written(&scene(small(), mode));
+        let file = opened(bytes.clone()).unwrap();
+        let at = file.entries()[0].offset as usize + file.blob(0, 0, 0).unwrap().unwrap().offset(section) + at;
+        let mut bytes = bytes;
+        assert_ne!(bytes[at], value, "nothing would change");
+        bytes[at] = value;
+        reseal(&mut bytes);
+        refused(bytes)
+    }
+
+    #[test]
+    fn pcast_finds_every_kind_of_forged_section() {
+        let solid = (Encoding::Solid, ColorMode::Voxel);
+        let surface = (Encoding::Surface, ColorMode::Voxel);
+        // Column 1 starts one byte late: column 0 is then of even length.
+        assert!(
+            forged(solid, Section::GeometryTable, 4 * 3 + 2, 4)
+                .contains("column (0, 0) of the tile: 4 bytes; a narrow column")
+        );
+        assert!(forged(solid, Section::GeometryTable, 0, 1).contains("starts at byte 1, 0 was expected"));
+        assert!(forged(solid, Section::Geometry, 1, 1).contains("first colour offset 1, 0 was expected"));
+        assert!(forged(solid, Section::Exposure, 2, 3).contains("bytes of colours"));
+        assert!(forged(solid, Section::ColorTable, 4 * 3 + 2, 9).contains("9 colours before it, 4 were expected"));
+        // The gap of a hidden voxel called air, and the air above a column called solid.
+        assert!(forged(surface, Section::Fill, 0, 0xFF).contains("the gap above the last run is marked as solid"));
+        let hidden = Columns::from_fn(3, 3, 3, |_, _, _| true);
+        let bytes = written(&scene(hidden, surface));
+        let file = opened(bytes.clone()).unwrap();
+        let at = file.entries()[0].offset as usize + file.blob(0, 0, 0).unwrap().unwrap().offset(Section::Fill);
+        let mut bytes = bytes;
+        bytes[at..at + 2].fill(0);
+        reseal(&mut bytes);
+        assert!(refused(bytes).contains("its directory entry says 27 solid"));
+    }
+
+    #[test]
+    fn pcast_exposed_voxels_must_have_an_exposed_face() {
+        // Two runs of exposed voxels with a hidden one between; the hidden one shown instead of the upper end.
+        let good = scene(Columns::from_fn(3, 4, 3, |_, _, _| true), (Encoding::Solid, ColorMode::Voxel));
+        let mut bad = good.clone();
+        let exposed = bad.levels[0].exposed.take().unwrap();
+        bad.levels[0].exposed = Some(Columns::from_rows(3, 4, 3, |z, out| {
+            for x in 0..3 {
+                match (x, z) {
+                    (1, 1) => out.push_run(Run::new(0, 1)),
+                    _ => exposed.column(x, z).iter().for_each(|&r| out.push_run(r)),
+                }
+                out.end_column();
+            }
+        }));
+        let expected = "a.pcast: level 0 column (1, 1): the exposed voxels are not those with an exposed face; encode the scene again";
+        assert_eq!(refused(written(&bad)), expected);
+        assert_eq!(read(written(&good)).unwrap(), good);
+    }
+}

@@ -1,0 +1,280 @@
+//! Importers: every kind of file, and every procedural scene, that can become an [`Input`].
+//!
+//! | module | reads | world |
+//! |---|---|---|
+//! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
+//! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
+//! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
+//! | `vox` | MagicaVoxel models and scenes | z-up |
+//! | `procedural` | nothing: seeded functions | y-up |
+//!
+//! Every reader takes the whole file as bytes (memory-mapped), checks each size it claims against them before it
+//! asks for memory, and answers bad bytes with an [`Error`], never a panic.
+
+mod heightmap;
+pub mod procedural;
+mod volume;
+mod vox;
+mod vxl;
+
+use std::fs::File;
+use std::io::Read;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use crate::{Columns, ColumnsBuilder, Error, Input, Result};
+
+/// Highest column that a scene can hold, in voxels.
+pub const MAX_HEIGHT: u64 = 65_536;
+
+/// Most columns that an importer builds: column tables of 8 GiB.
+pub const MAX_COLUMNS: u64 = 1 << 31;
+
+/// How to read an input: the flags of `encode`.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct ReadOptions {
+    /// Kind of input [default: found from the content, then the name; --dims means raw]
+    #[arg(long, value_enum, value_name = "KIND")]
+    pub format: Option<Format>,
+    /// Axis of a volume that points up [default: y]
+    #[arg(long, value_enum, value_name = "AXIS")]
+    pub up: Option<Up>,
+    /// Size of a raw volume in voxels, x fastest in the file
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims)]
+    pub dims: Option<[u64; 3]>,
+    /// Value type of a raw volume, little-endian [default: u8]
+    #[arg(long, value_enum, value_name = "TYPE")]
+    pub dtype: Option<Dtype>,
+    /// Voxels of at least this value are solid [default: above 0 for u8; needed for other types]
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    pub iso: Option<f64>,
+    /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
+    #[arg(long, value_name = "IMAGE")]
+    pub colors: Option<PathBuf>,
+    /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub height_scale: Option<f64>,
+}
+
+/// Kinds of input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// Values without a header, x fastest (--dims, --dtype)
+    Raw,
+    /// NumPy array of three axes
+    Npy,
+    /// NRRD, attached or detached header
+    Nrrd,
+    /// NIfTI-1, plain or gzip
+    Nifti,
+    /// PNG, JPEG, TIFF or GeoTIFF image of heights
+    Heightmap,
+    /// Voxlap or Ace of Spades map
+    Vxl,
+    /// MagicaVoxel model or scene
+    Vox,
+}
+
+const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
+    (.png, .jpg, .tif), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+
+/// Axis of an input that points up in the world.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Up {
+    /// Input (x, y, z) is world (x, y, z)
+    #[default]
+    Y,
+    /// Input (x, y, z) is world (x, z, Y−1−y)
+    Z,
+}
+
+/// Type of a volume's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Dtype {
+    U8,
+    I8,
+    U16,
+    I16,
+    U32,
+    I32,
+    U64,
+    I64,
+    F32,
+    F64,
+}
+
+impl Dtype {
+    /// Bytes a value.
+    pub fn size(self) -> u64 {
+        match self {
+            Dtype::U8 | Dtype::I8 => 1,
+            Dtype::U16 | Dtype::I16 => 2,
+            Dtype::U32 | Dtype::I32 | Dtype::F32 => 4,
+            Dtype::U64 | Dtype::I64 | Dtype::F64 => 8,
+        }
+    }
+}
+
+fn parse_dims(s: &str) -> Result<[u64; 3], String> {
+    let parts: Vec<u64> =
+        s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|e| format!("{e}"))?;
+    let dims: [u64; 3] = parts.try_into().map_err(|_| "three sizes are needed, as in 256,128,64".to_owned())?;
+    if dims.contains(&0) {
+        return Err("every size must be at least 1".to_owned());
+    }
+    Ok(dims)
+}
+
+/// Reads the file at `path`, or makes the scene that a name like `procedural:terrain?size=512&seed=7` describes.
+pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
+    if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
+        return procedural::from_name(name);
+    }
+    read(path, &map(path)?, opts)
+}
+
+/// Reads an input whose file at `path` holds `bytes`.
+fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+    let format = match opts.format {
+        Some(format) => format,
+        None if opts.dims.is_some() => Format::Raw,
+        None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
+    };
+    let mut input = match format {
+        Format::Raw => volume::raw(path, bytes, opts),
+        Format::Npy => volume::npy(path, bytes, opts),
+        Format::Nrrd => volume::nrrd(path, bytes, opts),
+        Format::Nifti => volume::nifti(path, bytes, opts),
+        Format::Heightmap => heightmap::read(path, bytes, opts),
+        Format::Vxl => vxl::read(path, bytes),
+        Format::Vox => vox::read(path, bytes),
+    }?;
+    let mut unused = |flag: &str, given: bool, why: &str| {
+        if given {
+            input.notes.push(format!("{flag} is not used: {why}"));
+        }
+    };
+    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti);
+    let is_map = format == Format::Heightmap;
+    unused("--up", opts.up.is_some() && !is_volume, "the format has an up axis of its own");
+    unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
+    unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
+    unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
+    unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
+    unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
+    Ok(input)
+}
+
+/// The kind of a file from its first bytes (at least 64 KiB of them, or all), and where those tell nothing, from
+/// its name.
+pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
+    if let Some(format) = detect_content(head) {
+        return Ok(format);
+    }
+    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let fail = |what: &str| Err(Error::format(path, what));
+    match name.rsplit('.').next().unwrap_or_default() {
+        "vxl" => Ok(Format::Vxl),
+        "raw" | "bin" => fail("a raw volume does not state its size: give --dims X,Y,Z and --dtype u8|u16|i16|f32"),
+        "vox" => fail("byte 0: expected \"VOX \", so this is not a MagicaVoxel file (Slab6 files share the name)"),
+        "pcast" => fail("this is a scene already; encode takes what a scene is made from"),
+        _ if head.is_empty() => fail("the file is empty"),
+        _ => Err(Error::format(path, format!("neither content nor name tells the kind; supported: {SUPPORTED}"))),
+    }
+}
+
+fn detect_content(head: &[u8]) -> Option<Format> {
+    const MAGICS: &[(&[u8], Format)] = &[
+        (b"\x89PNG\r\n\x1a\n", Format::Heightmap),
+        (b"\xff\xd8\xff", Format::Heightmap),
+        (b"II*\0", Format::Heightmap),
+        (b"MM\0*", Format::Heightmap),
+        (b"II+\0", Format::Heightmap),
+        (b"MM\0+", Format::Heightmap),
+        (b"\x93NUMPY", Format::Npy),
+        (b"NRRD000", Format::Nrrd),
+        (b"VOX ", Format::Vox),
+        (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
+    ];
+    if let Some((_, format)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
+        return Some(*format);
+    }
+    let mut inflated = Vec::new();
+    let head = if head.starts_with(b"\x1f\x8b") {
+        // Too short or broken a stream simply does not look like NIfTI.
+        let _ = flate2::read::MultiGzDecoder::new(head).take(volume::NIFTI_HEADER).read_to_end(&mut inflated);
+        &inflated
+    } else {
+        head
+    };
+    matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)
+}
+
+/// A whole file in memory, mapped.
+fn map(path: &Path) -> Result<impl Deref<Target = [u8]> + use<>> {
+    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    if file.metadata().map_err(|e| Error::io(path, "read", e))?.is_dir() {
+        return Err(Error::format(path, "this is a folder; expected a file"));
+    }
+    // SAFETY: the mapping is read-only and lives as long as the import. A file that another process shortens
+    // meanwhile ends this one by SIGBUS, the accepted price of not copying volumes larger than memory.
+    unsafe { memmap2::Mmap::map(&file) }.map_err(|e| Error::io(path, "map", e))
+}
+
+/// Checks that a world of `dims` (x, y up, z) can be held; `hint` says what to do about one too high.
+fn world_dims(path: &Path, dims: [u64; 3], hint: &str) -> Result<[u32; 3]> {
+    let [nx, ny, nz] = dims;
+    let fail = |what: String| Err(Error::Limit(format!("{}: {what}", path.display())));
+    if dims.contains(&0) {
+        return Err(Error::format(path, format!("size {nx} × {ny} × {nz}: every side must be at least 1")));
+    }
+    if ny > MAX_HEIGHT {
+        return fail(format!("the world would be {ny} voxels high, at most {MAX_HEIGHT} can be held; {hint}"));
+    }
+    if nx.checked_mul(nz).is_none_or(|n| n > MAX_COLUMNS) {
+        return fail(format!("the world would have {nx} × {nz} columns, at most {MAX_COLUMNS} can be held"));
+    }
+    Ok([nx as u32, ny as u32, nz as u32])
+}
+
+/// Columns made in parallel, one row of constant z at a time: `row` ends `nx` columns in the builder it is given.
+fn build_rows([nx, ny, nz]: [u32; 3], row: impl Fn(u32, &mut ColumnsBuilder) -> Result<()> + Sync) -> Result<Columns> {
+    let rows = (0..nz)
+        .into_par_iter()
+        .map(|z| {
+            let mut columns = ColumnsBuilder::new(nx, ny, 1);
+            row(z, &mut columns)?;
+            Ok(columns.finish())
+        })
+        .collect::<Result<Vec<Columns>>>()?;
+    concat_rows([nx, ny, nz], &rows)
+}
+
+/// One world from its rows of constant z.
+fn concat_rows([nx, ny, nz]: [u32; 3], rows: &[Columns]) -> Result<Columns> {
+    let n_runs: usize = rows.iter().map(|r| r.runs().len()).sum();
+    if u32::try_from(n_runs).is_err() {
+        return Err(Error::Limit(format!("the world has {n_runs} runs, at most {} can be held", u32::MAX)));
+    }
+    let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
+    let mut runs = Vec::with_capacity(n_runs);
+    offsets.push(0);
+    for row in rows {
+        let base = runs.len() as u32;
+        offsets.extend(row.offsets()[1..].iter().map(|o| base + o));
+        runs.extend_from_slice(row.runs());
+    }
+    Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
+}
+
+/// Runs a decoder of somebody else's, so that a panic of its own on hostile bytes is an error like any other. A
+/// last resort: what can be checked before is checked before.
+fn guarded<T>(path: &Path, decoder: &str, decode: impl FnOnce() -> Result<T>) -> Result<T> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode))
+        .unwrap_or_else(|_| Err(Error::format(path, format!("the {decoder} decoder gave up; the file is damaged"))))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,65 @@
+//! Random worlds for the tests of this crate.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+
+use crate::{Colors, Columns, ColumnsBuilder, Input, Rgb, Run};
+
+/// Worlds small enough to check voxel by voxel, from sparse to full.
+pub fn small_world() -> impl Strategy<Value = Columns> {
+    (1u32..7, 1u32..14, 1u32..7, 1u8..=20).prop_flat_map(|(nx, ny, nz, density)| {
+        prop::collection::vec(0u8..20, (nx * ny * nz) as usize).prop_map(move |noise| {
+            Columns::from_fn(nx, ny, nz, |x, y, z| noise[((z * ny + y) * nx + x) as usize] < density)
+        })
+    })
+}
+
+/// A few columns of the given height, with runs of very unequal lengths.
+pub fn tall_world(ny: u32) -> impl Strategy<Value = Columns> {
+    let column = prop::collection::vec((1u32..600, prop_oneof![1u32..4, 1u32..600]), 0..300);
+    (1u32..4, 1u32..4).prop_flat_map(move |(nx, nz)| {
+        prop::collection::vec(column.clone(), (nx * nz) as usize).prop_map(move |columns| {
+            let mut out = ColumnsBuilder::new(nx, ny, nz);
+            for column in columns {
+                let mut y = 0;
+                for (gap, len) in column {
+                    let (first, last) = (y + gap - 1, y + gap + len - 2);
+                    if last >= ny {
+                        break;
+                    }
+                    out.push_run(Run::new(first as u16, last as u16));
+                    y = last + 2;
+                }
+                out.end_column();
+            }
+            out.finish()
+        })
+    })
+}
+
+/// A colour that tells where it comes from.
+pub fn color_of(x: u32, y: u32, z: u32) -> Rgb {
+    [(x * 37 + 11) as u8, (y * 5 + 3) as u8, (z * 53 + x + 7 * y) as u8]
+}
+
+pub fn input(columns: Columns, colored: bool) -> Input {
+    let colors = if colored { Colors::Function(Box::new(color_of)) } else { Colors::None };
+    Input { columns, colors, notes: Vec::new() }
+}
+
+/// The voxels of `columns` as `(x, y, z)`, in the order of colours, with the position of each.
+pub fn voxel_positions(columns: &Columns) -> BTreeMap<(u32, u32, u32), usize> {
+    let mut positions = BTreeMap::new();
+    for z in 0..columns.nz() {
+        for x in 0..columns.nx() {
+            for run in columns.column(x, z) {
+                for y in u32::from(run.first())..run.end() {
+                    let n = positions.len();
+                    positions.insert((x, y, z), n);
+                }
+            }
+        }
+    }
+    positions
+}

@@ -1,0 +1,349 @@
+//! Scenes to `.pcast` files, and files written whole or not at all.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use bytemuck::Zeroable;
+use rayon::prelude::*;
+use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
+
+use crate::column_rle::{self, Form};
+use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
+use crate::{ColorMode, Columns, Encoding, Error, Level, Result, Run, Scene, exposure};
+
+/// Writes `path` whole or not at all: into a new file beside it, which is synced and then takes its name. What
+/// stood under the name stays until then.
+pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
+    let refuse = |kind, text: &str| Err(Error::io(path, "write", std::io::Error::new(kind, text)));
+    // A rename would replace a link, or a device such as /dev/null, by a plain file.
+    let target = match fs::metadata(path) {
+        Ok(m) if m.is_dir() => {
+            return refuse(std::io::ErrorKind::IsADirectory, "it is a directory, a file name was expected");
+        }
+        Ok(m) if !m.is_file() => {
+            return refuse(std::io::ErrorKind::InvalidInput, "it is not a regular file");
+        }
+        Ok(_) => fs::canonicalize(path).map_err(|e| Error::io(path, "open", e))?,
+        Err(_) => path.to_path_buf(),
+    };
+    let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        return refuse(std::io::ErrorKind::NotFound, "its folder does not exist");
+    }
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".planecast-").suffix(".tmp");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.tempfile_in(folder).map_err(|e| Error::io(path, "create", e))?;
+    let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
+    write(&mut out)?;
+    out.flush().map_err(|e| Error::io(path, "write", e))?;
+    drop(out);
+    file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
+    file.persist(&target).map_err(|e| Error::io(path, "create", e.error))?;
+    Ok(())
+}
+
+/// Writes a scene, atomically. The bytes depend on the scene alone, not on the number of threads.
+pub fn write_scene(scene: &Scene, path: &Path) -> Result<()> {
+    write_atomic(path, |out| write_scene_to(scene, out, path))
+}
+
+/// The same bytes into `out`, from its start. `path` is what errors call it.
+pub fn write_scene_to(scene: &Scene, out: &mut (impl Write + Seek), path: &Path) -> Result<()> {
+    let grids = format::grids(scene.dims());
+    let levels = scene
+        .levels
+        .iter()
+        .zip(&grids)
+        .enumerate()
+        .map(|(k, (level, grid))| LevelSource::new(scene, k, level, grid))
+        .collect::<Result<Vec<_>>>()?;
+    if scene.levels.len() != grids.len() {
+        return Err(Error::Argument(format!("the scene has {} levels, {} were expected", levels.len(), grids.len())));
+    }
+    let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
+    let n_tiles = u32::try_from(n_tiles)
+        .map_err(|_| Error::Limit(format!("the scene has {n_tiles} tiles, a file holds 2³² − 1")))?;
+
+    let failed = |e| Error::io(path, "write", e);
+    let mut tiles = Vec::with_capacity(n_tiles as usize);
+    for level in &levels {
+        let [across, along] = level.grid.tiles;
+        tiles.extend((0..along).flat_map(|tz| (0..across).map(move |tx| (level, tx, tz))));
+    }
+    let directory = size_of::<Header>() as u64;
+    let mut at = directory + u64::from(n_tiles) * size_of::<TileEntry>() as u64;
+    // The directory is known last and stands first.
+    out.seek(SeekFrom::Start(at)).map_err(failed)?;
+    let mut entries: Vec<TileEntry> = Vec::with_capacity(n_tiles as usize);
+    // By 128 bits of hash: two different blobs of a scene never meet by chance.
+    let mut stored: HashMap<u128, u64> = HashMap::new();
+    // Some at a time, so that a scene's blobs need not all fit into memory beside it.
+    for batch in tiles.chunks(128) {
+        let blobs: Vec<_> = batch.par_iter().map(|&(level, tx, tz)| level.blob(tx, tz)).collect::<Result<_>>()?;
+        for (mut entry, blob) in blobs {
+            if !blob.is_empty() {
+                entry.offset = *stored.entry(xxh3_128(&blob)).or_insert(at.next_multiple_of(ALIGN));
+                if entry.offset >= at {
+                    out.write_all(&[0; ALIGN as usize][..(entry.offset - at) as usize]).map_err(failed)?;
+                    out.write_all(&blob).map_err(failed)?;
+                    at = entry.offset + blob.len() as u64;
+                }
+            }
+            entries.push(entry);
+        }
+    }
+    let entries: &[u8] = bytemuck::cast_slice(&entries);
+    let mut header = Header {
+        magic: format::MAGIC,
+        version: format::VERSION,
+        dims: scene.dims(),
+        encoding: format::encoding_code(scene.encoding),
+        color: format::color_code(scene.color),
+        mip_rule: format::mip_rule_code(scene.mip_rule),
+        n_levels: grids.len() as u8,
+        n_tiles,
+        directory,
+        file_len: at,
+        directory_checksum: xxh3_64(entries),
+        checksum: 0,
+    };
+    header.checksum = header.checksum();
+    out.seek(SeekFrom::Start(0)).map_err(failed)?;
+    out.write_all(bytemuck::bytes_of(&header)).map_err(failed)?;
+    out.write_all(entries).map_err(failed)
+}
+
+/// One level, with what its tiles need to be cut out.
+struct LevelSource<'a> {
+    scene: &'a Scene,
+    k: usize,
+    level: &'a Level,
+    grid: Grid,
+    exposed: std::borrow::Cow<'a, Columns>,
+    /// Position of each column's first colour in `level.colors`; empty without colours.
+    first_color: Vec<u64>,
+}
+
+impl<'a> LevelSource<'a> {
+    fn new(scene: &'a Scene, k: usize, level: &'a Level, grid: &Grid) -> Result<LevelSource<'a>> {
+        let wrong = |what: String| Err(Error::Argument(format!("level {k} of the scene {what}")));
+        if level.solid.dims() != grid.dims {
+            return wrong(format!("is {:?}, {:?} was expected", level.solid.dims(), grid.dims));
+        }
+        let n_columns = u64::from(grid.dims[0]) * u64::from(grid.dims[2]);
+        if n_columns > format::MAX_COLUMNS {
+            return Err(Error::Limit(format!("level {k} has {n_columns} columns, a scene has at most 2³¹")));
+        }
+        if level.exposed.as_ref().is_some_and(|e| e.dims() != grid.dims) {
+            return wrong("has exposed runs of another size".into());
+        }
+        if level.exposed.is_none() && (scene.encoding == Encoding::Surface || scene.color == ColorMode::Voxel) {
+            return wrong("has no exposed runs".into());
+        }
+        let exposed = match &level.exposed {
+            Some(exposed) => std::borrow::Cow::Borrowed(exposed),
+            None => std::borrow::Cow::Owned(exposure::exposed(&level.solid)),
+        };
+        let first_color = match scene.color {
+            ColorMode::None => Vec::new(),
+            ColorMode::Run => level.geometry(scene.encoding).offsets().iter().map(|&n| u64::from(n)).collect(),
+            ColorMode::Voxel => exposed.voxel_offsets(),
+        };
+        let n_colors = first_color.last().copied().unwrap_or(0);
+        if level.colors.len() as u64 != n_colors {
+            return wrong(format!("has {} colours, {n_colors} were expected", level.colors.len()));
+        }
+        Ok(LevelSource { scene, k, level, grid: *grid, exposed, first_color })
+    }
+
+    /// The directory entry of a tile, less its offset, and its blob; no bytes where the tile is empty.
+    fn blob(&self, tx: u32, tz: u32) -> Result<(TileEntry, Vec<u8>)> {
+        let [xs, zs] = self.grid.columns(tx, tz);
+        let form = Form::of(self.grid.dims[1]);
+        let geometry = self.level.geometry(self.scene.encoding);
+        let solid = &self.level.solid;
+        let columns = || zs.clone().flat_map(|z| xs.clone().map(move |x| (x, z)));
+
+        let mut entry = TileEntry { y_min: u16::MAX, ..TileEntry::zeroed() };
+        for (x, z) in columns() {
+            let column = solid.column(x, z);
+            let voxels = |runs: &[Run]| runs.iter().map(|r| u64::from(r.len())).sum::<u64>();
+            entry.n_solid += voxels(column);
+            entry.n_exposed += voxels(self.exposed.column(x, z));
+            entry.n_runs += geometry.column(x, z).len() as u32;
+            if let (Some(lowest), Some(highest)) = (column.first(), column.last()) {
+                entry.y_min = entry.y_min.min(lowest.first());
+                entry.y_max = entry.y_max.max(highest.last());
+            }
+        }
+        if entry.n_solid == 0 {
+            return Ok((TileEntry { flags: format::EMPTY, ..TileEntry::zeroed() }, Vec::new()));
+        }
+
+        let mut blob = Blob::new(xs.len() as u16, zs.len() as u16);
+        let lists = |of: &Columns| {
+            let (mut starts, mut bytes) = (Vec::new(), Vec::new());
+            for (x, z) in columns() {
+                starts.push(bytes.len() as u64);
+                column_rle::encode(of.column(x, z), form, &mut bytes);
+            }
+            (starts, bytes)
+        };
+        let (starts, bytes) = lists(geometry);
+        blob.table(Section::GeometryTable, &starts);
+        blob.section(Section::Geometry, &bytes);
+        if self.scene.encoding == Encoding::Surface {
+            let mut fill = vec![0; bytes.len().div_ceil(16)];
+            for ((x, z), start) in columns().zip(&starts) {
+                let mut inside = solid.column(x, z).iter();
+                let mut run = inside.next();
+                for (i, shown) in geometry.column(x, z).iter().enumerate() {
+                    while run.is_some_and(|r| r.last() < shown.first()) {
+                        run = inside.next();
+                    }
+                    // The ends of a solid run are exposed, so what follows inside it is hidden.
+                    if run.is_some_and(|r| r.last() > shown.last()) {
+                        let bit = *start as usize / 2 + i;
+                        fill[bit / 8] |= 1 << (bit % 8);
+                    }
+                }
+            }
+            blob.section(Section::Fill, &fill);
+        } else if self.scene.color == ColorMode::Voxel {
+            let (starts, bytes) = lists(&self.exposed);
+            blob.table(Section::ExposureTable, &starts);
+            blob.section(Section::Exposure, &bytes);
+        }
+        if self.scene.color != ColorMode::None {
+            let mut starts = Vec::new();
+            let mut colors: Vec<u8> = Vec::new();
+            for z in zs.clone() {
+                let row = solid.index(xs.start, z);
+                let first = &self.first_color[row..=row + xs.len()];
+                let before = (colors.len() / 3) as u64;
+                starts.extend(first[..xs.len()].iter().map(|f| before + f - first[0]));
+                let row = first[0] as usize..first[xs.len()] as usize;
+                colors.extend(self.level.colors[row].as_flattened());
+            }
+            blob.table(Section::ColorTable, &starts);
+            blob.section(Section::Colors, &colors);
+        }
+        let blob = blob.finish().map_err(|len| {
+            Error::Limit(format!(
+                "tile ({tx}, {tz}) of level {} takes {len} bytes, a tile holds at most 2³² − 1",
+                self.k
+            ))
+        })?;
+        entry.len = blob.len() as u32;
+        entry.checksum = xxh3_64(&blob);
+        Ok((entry, blob))
+    }
+}
+
+/// A blob under construction. Offsets may pass 32 bits until [`Blob::finish`] looks.
+struct Blob {
+    header: BlobHeader,
+    bytes: Vec<u8>,
+}
+
+impl Blob {
+    fn new(width: u16, depth: u16) -> Blob {
+        Blob { header: BlobHeader { width, depth, ..BlobHeader::zeroed() }, bytes: vec![0; size_of::<BlobHeader>()] }
+    }
+
+    fn section(&mut self, section: Section, bytes: &[u8]) {
+        self.bytes.resize(self.bytes.len().next_multiple_of(ALIGN as usize), 0);
+        self.header.sections[section as usize] = [self.bytes.len() as u32, bytes.len() as u32];
+        self.bytes.extend(bytes);
+    }
+
+    fn table(&mut self, section: Section, starts: &[u64]) {
+        let rows = || starts.chunks(self.header.width as usize);
+        let mut bytes = Vec::with_capacity(starts.len() * 4);
+        if rows().all(|row| row[row.len() - 1] - row[0] <= u64::from(u16::MAX)) {
+            rows().for_each(|row| bytes.extend((row[0] as u32).to_le_bytes()));
+            rows().for_each(|row| bytes.extend(row.iter().flat_map(|s| ((s - row[0]) as u16).to_le_bytes())));
+        } else {
+            self.header.long |= section.long_bit();
+            bytes.extend(starts.iter().flat_map(|&s| (s as u32).to_le_bytes()));
+        }
+        self.section(section, &bytes);
+    }
+
+    /// The bytes, or their number where it is beyond 32 bits.
+    fn finish(mut self) -> Result<Vec<u8>, usize> {
+        if u32::try_from(self.bytes.len()).is_err() {
+            return Err(self.bytes.len());
+        }
+        self.bytes[..size_of::<BlobHeader>()].copy_from_slice(bytemuck::bytes_of(&self.header));
+        Ok(self.bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use crate::{BuildOptions, build};
+
+    fn scene() -> Scene {
+        build(testing::input(Columns::from_fn(9, 9, 9, |x, y, _| y <= x), true), &BuildOptions::default()).unwrap()
+    }
+
+    #[test]
+    fn write_refuses_what_is_no_file_and_leaves_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let refused = |path: &Path| write_scene(&scene(), path).unwrap_err().to_string();
+        assert!(refused(dir.path()).ends_with("cannot write: it is a directory, a file name was expected"));
+        assert!(refused(&dir.path().join("no/a.pcast")).ends_with("cannot write: its folder does not exist"));
+        #[cfg(unix)]
+        assert!(refused(Path::new("/dev/null")).ends_with("cannot write: it is not a regular file"));
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn write_that_fails_keeps_the_file_that_was() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.pcast");
+        fs::write(&path, "before").unwrap();
+        let failed = write_atomic(&path, |out| {
+            out.write_all(b"half").unwrap();
+            Err(Error::Limit("disk full, say".into()))
+        });
+        assert!(failed.is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"before");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+        write_atomic(&path, |out| out.write_all(b"after").map_err(|e| Error::io(&path, "write", e))).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"after");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn write_through_a_link_keeps_the_link() {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, link) = (dir.path().join("file"), dir.path().join("link"));
+        fs::write(&file, "before").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        write_scene(&scene(), &link).unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert!(fs::read(&file).unwrap().starts_with(&format::MAGIC));
+    }
+
+    #[test]
+    fn write_refuses_scenes_that_contradict_themselves() {
+        let refused = |change: fn(&mut Scene)| {
+            let mut scene = scene();
+            change(&mut scene);
+            let dir = tempfile::tempdir().unwrap();
+            write_scene(&scene, &dir.path().join("a")).unwrap_err().to_string()
+        };
+        assert_eq!(refused(|s| s.levels[1].colors.truncate(1)), "level 1 of the scene has 1 colours, 66 were expected");
+        assert_eq!(refused(|s| s.levels[2].exposed = None), "level 2 of the scene has no exposed runs");
+        assert_eq!(refused(|s| s.levels.truncate(2)), "the scene has 2 levels, 5 were expected");
+        assert!(refused(|s| s.levels.swap(0, 1)).starts_with("level 1 of the scene is [9, 9, 9], [3, 3, 3] was"));
+    }
+}

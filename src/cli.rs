@@ -1,0 +1,725 @@
+//! The `planecast` command: what may be typed, what it means, and doing it.
+//!
+//! Parsing is in two layers. The `…Args` types hold what was typed, each flag checked by itself; their `run`
+//! resolves it (device, camera, outputs, all before any work) and does it.
+
+use std::ffi::{OsStr, OsString};
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path as FilePath, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use glam::DVec3;
+use planecast_encoder::{Error as FileError, PcastFile, Scene};
+use serde_json::json;
+
+use crate::fly::{self, Film, Kind};
+use crate::path::{Path, Pose};
+use crate::tour::{self, View};
+use crate::{
+    Camera, CpuRenderer, Culling, Error, Frame, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading,
+    demo, output, pick,
+};
+
+/// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
+#[derive(Debug, Parser)]
+#[command(name = "planecast", version)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    Decode(planecast_encoder::cli::DecodeArgs),
+    Info(planecast_encoder::cli::InfoArgs),
+    Query(planecast_encoder::cli::QueryArgs),
+    Render(RenderArgs),
+    Fly(FlyArgs),
+    Pick(PickArgs),
+    Demo(DemoArgs),
+}
+
+/// Draw one picture of a scene
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Scene file (.pcast)
+    scene: PathBuf,
+    /// Picture to write (.png)
+    #[arg(short, long, value_name = "OUT.png")]
+    output: PathBuf,
+    /// Where the camera is, voxels [default: a good view, found from the scene]
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
+    eye: Option<DVec3>,
+    /// Degrees; 0 looks along -z, 90 along +x [default: 0 with --eye, else that of the good view]
+    #[arg(long, value_name = "D", value_parser = finite)]
+    yaw: Option<f64>,
+    /// Degrees, -90 to 90, up is positive [default: 0 with --eye, else that of the good view]
+    #[arg(long, value_name = "D", value_parser = pitch)]
+    pitch: Option<f64>,
+    /// Degrees
+    #[arg(long, value_name = "D", value_parser = finite, default_value = "0")]
+    roll: f64,
+    /// Picture's width and height, pixels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "1280x720")]
+    size: [u32; 2],
+    #[command(flatten)]
+    draw: DrawArgs,
+    /// Also write the depth of every pixel (NPY, f4, H x W)
+    #[arg(long, value_name = "D.npy")]
+    depth: Option<PathBuf>,
+    /// Also write the voxel of every pixel (NPY, i4, H x W x 4: x, y, z, level)
+    #[arg(long, value_name = "V.npy")]
+    voxel: Option<PathBuf>,
+    /// Also write what the frame cost (JSON)
+    #[arg(long, value_name = "S.json")]
+    stats: Option<PathBuf>,
+}
+
+/// Make a film of a scene, or a folder of its frames
+///
+/// Ctrl-C stops after the frame under way and leaves a whole film up to there; --resume goes on.
+///
+/// A path file is JSON: a list of keyframes {"t": seconds, "eye": [x, y, z], "yaw": degrees, "pitch": degrees,
+/// "roll": degrees (0 if left out), "fov": degrees (that of --fov if left out)} with increasing times. Between them
+/// the camera follows a natural cubic spline.
+#[derive(Debug, Args)]
+pub struct FlyArgs {
+    /// Scene file (.pcast)
+    scene: PathBuf,
+    /// Film to write (.mp4, AV1), or a folder for PNG frames
+    #[arg(short, long, value_name = "OUT.mp4|OUTDIR")]
+    output: PathBuf,
+    /// Fly along the keyframes in this file
+    #[arg(long, value_name = "P.json", conflicts_with = "tour")]
+    path: Option<PathBuf>,
+    /// Fly a tour made from the scene itself [default without --path]
+    #[arg(long)]
+    tour: bool,
+    /// Frames in all, spread evenly over the path [default: as many as its time takes at --fps]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: Option<u32>,
+    /// Frames a second, 1 to 240
+    #[arg(long, value_name = "F", value_parser = fps, default_value = "30")]
+    fps: f64,
+    /// Go on with a film that was stopped: the same command, with this
+    #[arg(long)]
+    resume: bool,
+    /// Also write the path that is flown, as --path reads it
+    #[arg(long, value_name = "P.json")]
+    save_path: Option<PathBuf>,
+    /// Frames' width and height, pixels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x360")]
+    size: [u32; 2],
+    #[command(flatten)]
+    draw: DrawArgs,
+    /// Also write what the last frame drawn cost (JSON)
+    #[arg(long, value_name = "S.json")]
+    stats: Option<PathBuf>,
+}
+
+/// Find the first solid voxel along a ray
+#[derive(Debug, Args)]
+pub struct PickArgs {
+    /// Scene file (.pcast)
+    scene: PathBuf,
+    /// Where the ray starts, voxels
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
+    from: DVec3,
+    /// Where it points; any length but 0
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
+    dir: DVec3,
+}
+
+/// Encode the terrain that comes with planecast, draw a picture of it and fly through it
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Folder for the files; made if it is not there
+    #[arg(short, long, value_name = "DIR", default_value = "demo")]
+    output: PathBuf,
+}
+
+/// How to draw, for pictures and films alike.
+#[derive(Debug, Args)]
+pub struct DrawArgs {
+    /// Vertical field of view, degrees
+    #[arg(long, value_name = "D", value_parser = fov, default_value = "60")]
+    fov: f64,
+    /// What draws; auto takes the GPU where one is usable, exact is one ray a pixel
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: Device,
+    /// Which of the device's kernels draws [default: its fastest]
+    #[arg(long, value_name = "NAME")]
+    kernel: Option<String>,
+    /// Columns farther away than this are not drawn, voxels [default: no limit]
+    #[arg(long, value_name = "V", value_parser = positive)]
+    view_distance: Option<f64>,
+    /// Tile the world without end along these axes
+    #[arg(long, value_enum, value_name = "AXES", default_value = "none")]
+    repeat: RepeatArg,
+    /// Pixels that a voxel may cover at most before a finer level is drawn; off draws level 0 everywhere
+    #[arg(long, value_name = "PX|off", value_parser = lod, default_value = "1")]
+    lod: Lod,
+    /// Planes to cast: a number, auto (one a pixel) or a percentage of auto
+    #[arg(long, value_name = "N|auto|FACTOR%", value_parser = planes, default_value = "auto")]
+    planes: Planes,
+    /// Distance between planes: a pixel everywhere, or wider where planes would crowd
+    #[arg(long, value_enum, value_name = "SPACING", default_value = "full")]
+    spacing: Spacing,
+    /// Culling, for measuring: all, none, or some of horizon,center,forward,bits,coarse
+    #[arg(long, value_name = "LIST", value_parser = culling, default_value = "all")]
+    cull: Culling,
+    /// Beyond this distance, voxels, look at one column a slice [default: never]
+    #[arg(long, value_name = "V", value_parser = positive)]
+    equidistant: Option<f64>,
+    /// How a pixel picks among the planes around it
+    #[arg(long, value_enum, value_name = "RULE", default_value = "retest")]
+    remap: RemapArg,
+    /// Leave pixels that no plane reaches open
+    #[arg(long)]
+    no_gap_fill: bool,
+    /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both
+    #[arg(long, value_enum, value_name = "SHADING", default_value = "full")]
+    shading: ShadingArg,
+    /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
+    #[arg(long, value_name = "V", value_parser = positive)]
+    fog: Option<f64>,
+    /// Threads to draw with [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Device {
+    Auto,
+    Gpu,
+    Cpu,
+    Exact,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RepeatArg {
+    None,
+    X,
+    Z,
+    Xz,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Spacing {
+    Full,
+    Readjusted,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RemapArg {
+    Nearest,
+    Retest,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ShadingArg {
+    None,
+    Ssn,
+    Ssao,
+    Full,
+}
+
+/// A number of pixels, or off. Its own type, as clap takes an `Option` for a flag that may be left out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Lod(Option<f64>);
+
+fn finite(s: &str) -> Result<f64, String> {
+    let v: f64 = s.trim().parse().map_err(|_| "expected a number".to_owned())?;
+    if v.is_finite() { Ok(v) } else { Err("expected a finite number".into()) }
+}
+
+fn positive(s: &str) -> Result<f64, String> {
+    finite(s).and_then(|v| if v > 0.0 { Ok(v) } else { Err("expected a number above 0".into()) })
+}
+
+fn pitch(s: &str) -> Result<f64, String> {
+    finite(s).and_then(|v| if v.abs() <= 90.0 { Ok(v) } else { Err("expected -90 to 90 degrees".into()) })
+}
+
+fn fov(s: &str) -> Result<f64, String> {
+    let allowed = |v: &f64| *v > 0.0 && *v < 180.0;
+    finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected above 0 and below 180 degrees".into()))
+}
+
+fn fps(s: &str) -> Result<f64, String> {
+    let allowed = |v: &f64| (1.0..=240.0).contains(v);
+    finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 1 to 240".into()))
+}
+
+fn vector(s: &str) -> Result<DVec3, String> {
+    let parts: Result<Vec<f64>, String> = s.split(',').map(finite).collect();
+    let parts: [f64; 3] = parts
+        .and_then(|v| v.try_into().map_err(|_| String::new()))
+        .map_err(|_| "expected three numbers, as in 10,-2.5,7".to_owned())?;
+    Ok(parts.into())
+}
+
+/// Pixels of a picture at most; at 32 bytes a pixel while it is drawn, 2 GiB.
+const PIXELS: u64 = 1 << 26;
+
+fn size(s: &str) -> Result<[u32; 2], String> {
+    let parse = |v: &str| v.parse().ok().filter(|v: &u32| (1..=16_384).contains(v));
+    let parts = s.split_once(['x', 'X']).and_then(|(w, h)| Some([parse(w)?, parse(h)?]));
+    let [w, h] = parts.ok_or("expected WxH, as in 640x360, each 1 to 16384")?;
+    if u64::from(w) * u64::from(h) > PIXELS {
+        return Err(format!("expected at most {PIXELS} pixels in all"));
+    }
+    Ok([w, h])
+}
+
+fn lod(s: &str) -> Result<Lod, String> {
+    match s {
+        "off" => Ok(Lod(None)),
+        _ => positive(s).map(|v| Lod(Some(v))).map_err(|_| "expected pixels above 0, or off".into()),
+    }
+}
+
+fn planes(s: &str) -> Result<Planes, String> {
+    let wrong = || "expected a number of planes from 1 to 1000000, auto, or a percentage up to 6400%".to_owned();
+    match s.strip_suffix('%') {
+        _ if s == "auto" => Ok(Planes::Auto),
+        Some(percent) => {
+            let v = positive(percent).ok().filter(|v| *v <= 6400.0).ok_or_else(wrong)?;
+            Ok(Planes::Factor(v / 100.0))
+        }
+        None => s.parse().ok().filter(|n| (1..=1_000_000).contains(n)).map(Planes::Count).ok_or_else(wrong),
+    }
+}
+
+fn culling(s: &str) -> Result<Culling, String> {
+    match s {
+        "all" => return Ok(Culling::ALL),
+        "none" => return Ok(Culling::NONE),
+        _ => {}
+    }
+    let mut culling = Culling::NONE;
+    for part in s.split(',') {
+        *match part {
+            "horizon" => &mut culling.horizon,
+            "center" => &mut culling.center,
+            "forward" => &mut culling.forward,
+            "bits" => &mut culling.bits,
+            "coarse" => &mut culling.coarse,
+            _ => return Err("expected all, none, or a list of horizon,center,forward,bits,coarse".into()),
+        } = true;
+    }
+    Ok(culling)
+}
+
+impl DrawArgs {
+    fn options(&self) -> Options {
+        Options {
+            view_distance: self.view_distance.unwrap_or(f64::INFINITY),
+            repeat: self.repeat(),
+            lod: self.lod.0,
+            planes: self.planes,
+            readjust: self.spacing == Spacing::Readjusted,
+            culling: self.cull,
+            equidistant: self.equidistant,
+            remap: match self.remap {
+                RemapArg::Nearest => Remap::Nearest,
+                RemapArg::Retest => Remap::Retest,
+            },
+            gap_fill: !self.no_gap_fill,
+            shading: match self.shading {
+                ShadingArg::None => Shading::None,
+                ShadingArg::Ssn => Shading::Ssn,
+                ShadingArg::Ssao => Shading::Ssao,
+                ShadingArg::Full => Shading::Full,
+            },
+            fog: self.fog,
+        }
+    }
+
+    fn repeat(&self) -> Repeat {
+        Repeat {
+            x: matches!(self.repeat, RepeatArg::X | RepeatArg::Xz),
+            z: matches!(self.repeat, RepeatArg::Z | RepeatArg::Xz),
+        }
+    }
+
+    fn view(&self, size: [u32; 2]) -> View {
+        View { fov: self.fov, size, repeat: self.repeat() }
+    }
+
+    /// Settles what draws, and tells of it where that was left to the program. Before any other work.
+    fn method(&self) -> Result<Method> {
+        if let Some(n) = self.threads {
+            // Fails only if the pool was used before, which main() does not.
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(n.into())
+                .build_global()
+                .map_err(|e| Error::Limit(format!("--threads {n}: {e}")))?;
+        }
+        let (method, kernel) = match self.device {
+            Device::Exact => (Method::Exact, "exact"),
+            Device::Cpu => (Method::Planes, "planes"),
+            Device::Auto => {
+                eprintln!("drawing on the cpu: this planecast has no GPU kernels");
+                (Method::Planes, "planes")
+            }
+            Device::Gpu => {
+                return Err(Error::Device(
+                    "--device gpu: this planecast has no GPU kernels; use --device cpu or auto".into(),
+                ));
+            }
+        };
+        match &self.kernel {
+            Some(name) if name != kernel => {
+                Err(Error::Argument(format!("--kernel {name}: the device has only the kernel {kernel}")))
+            }
+            _ => Ok(method),
+        }
+    }
+}
+
+/// What draws a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Method {
+    Planes,
+    Exact,
+}
+
+impl Method {
+    pub(crate) fn draw(
+        self,
+        renderer: &mut CpuRenderer,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+    ) -> Result<Frame> {
+        match self {
+            Method::Planes => renderer.render(camera, options, outputs),
+            Method::Exact => renderer.exact(camera, options, outputs),
+        }
+    }
+}
+
+fn open_scene(path: &FilePath) -> Result<Scene> {
+    Ok(PcastFile::open(path)?.read_scene()?)
+}
+
+/// Every output once, and each can be written as far as that can be known before.
+fn check_outputs(outputs: &[(&str, Option<&PathBuf>)]) -> Result<()> {
+    let given: Vec<(&str, &PathBuf)> = outputs.iter().filter_map(|(flag, p)| Some((*flag, (*p)?))).collect();
+    for (i, (flag, path)) in given.iter().enumerate() {
+        if let Some((other, _)) = given[..i].iter().find(|(_, p)| p == path) {
+            let path = path.display();
+            return Err(Error::Argument(format!("{flag} {path}: is the file of {other} too; give each its own")));
+        }
+        output::check(path)?;
+    }
+    Ok(())
+}
+
+impl RenderArgs {
+    fn run(&self) -> Result<()> {
+        check_outputs(&[
+            ("--output", Some(&self.output)),
+            ("--depth", self.depth.as_ref()),
+            ("--voxel", self.voxel.as_ref()),
+            ("--stats", self.stats.as_ref()),
+        ])?;
+        let (method, options) = (self.draw.method()?, self.draw.options());
+        let scene = open_scene(&self.scene)?;
+        let camera = self.pose(&scene).camera(self.size);
+        let resident = Resident::new(&scene);
+        let outputs = Outputs { voxel: self.voxel.is_some() };
+        let frame = method.draw(&mut CpuRenderer::new(&scene, &resident), &camera, &options, outputs)?;
+
+        let mut files = vec![output::write(&self.output, |out| output::png(out, &frame))?];
+        if let Some(path) = &self.depth {
+            files.push(output::write(path, |out| output::npy_depth(out, &frame))?);
+        }
+        if let Some(path) = &self.voxel {
+            files.push(output::write(path, |out| output::npy_voxel(out, &frame))?);
+        }
+        if let Some(path) = &self.stats {
+            files.push(output::write(path, |out| output::json(out, &frame.stats))?);
+        }
+        for file in files {
+            file.finish()?;
+        }
+        if frame.depth.iter().all(|d| d.is_infinite()) {
+            let dims = scene.dims().map(|v| v.to_string()).join(" x ");
+            eprintln!(
+                "nothing but sky is in the picture: the scene is {dims} voxels from 0,0,0, the eye is at {:?}",
+                camera.eye.to_array()
+            );
+        }
+        Ok(())
+    }
+
+    /// What of the pose was typed, the rest from a good view of the scene.
+    fn pose(&self, scene: &Scene) -> Pose {
+        let base = match self.eye {
+            Some(eye) => Pose { eye, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: self.draw.fov },
+            None => tour::still(scene, self.draw.view(self.size)),
+        };
+        let (yaw, pitch) = (self.yaw.unwrap_or(base.yaw), self.pitch.unwrap_or(base.pitch));
+        Pose { yaw, pitch, roll: self.roll, ..base }
+    }
+}
+
+impl FlyArgs {
+    fn run(&self) -> Result<()> {
+        let kind = Kind::of(&self.output)?;
+        let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
+        if kind == Kind::Mp4 {
+            outputs.push(("--output", Some(&self.output)));
+        }
+        check_outputs(&outputs)?;
+        let (method, options) = (self.draw.method()?, self.draw.options());
+        let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
+        let scene = open_scene(&self.scene)?;
+        let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));
+        if let Some(file) = &self.save_path {
+            output::write(file, |out| out.write_all(path.to_json().as_bytes()))?.finish()?;
+        }
+        let frames = match self.frames {
+            Some(n) => n as usize,
+            None => (path.duration() * self.fps).round().clamp(1.0, 1e6) as usize,
+        };
+        let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| p.camera(self.size)).collect();
+
+        let resident = Resident::new(&scene);
+        let mut renderer = CpuRenderer::new(&scene, &resident);
+        let film = Film {
+            output: &self.output,
+            cameras: &cameras,
+            fps: self.fps,
+            resume: self.resume,
+            source: json!({
+                "scene": std::fs::metadata(&self.scene).map_err(|e| FileError::io(&self.scene, "read", e))?.len(),
+                "dims": scene.dims(),
+                "method": format!("{method:?}"),
+                "options": format!("{options:?}"),
+            }),
+            stop: stop_on_ctrl_c(),
+        };
+        let outcome = fly::fly(&film, &mut |camera| method.draw(&mut renderer, camera, &options, Outputs::default()))?;
+        if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
+            output::write(file, |out| output::json(out, stats))?.finish()?;
+        }
+        if outcome.frames < frames {
+            return Err(Error::Limit(format!(
+                "stopped with {} of {frames} frames in {}; the same command with --resume goes on",
+                outcome.frames,
+                self.output.display()
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// A flag that Ctrl-C sets; a second one ends the program at once.
+fn stop_on_ctrl_c() -> &'static AtomicBool {
+    static STOP: AtomicBool = AtomicBool::new(false);
+    // A handler that cannot be set leaves Ctrl-C as it was: it ends the program, and whole parts stay.
+    _ = ctrlc::set_handler(|| {
+        if STOP.swap(true, Ordering::Relaxed) {
+            std::process::exit(1);
+        }
+        eprintln!("stopping: what is drawn is still being saved; Ctrl-C again ends at once");
+    });
+    &STOP
+}
+
+impl PickArgs {
+    fn run(&self) -> Result<()> {
+        let report = pick::report(&open_scene(&self.scene)?, self.from, self.dir)?;
+        print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
+    }
+}
+
+/// Standard output, where a reader that has seen enough (`| head`) is no error.
+pub(crate) fn print(text: &str) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(FileError::io("standard output", "write", e).into()),
+        _ => Ok(()),
+    }
+}
+
+/// Runs the command with the program's arguments, the program's name first. Errors go to stderr.
+pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
+    let cli = match Cli::try_parse_from(join_negative(args.into_iter().map(|a| a.as_ref().to_owned()))) {
+        Ok(cli) => cli,
+        Err(e) if !e.use_stderr() => {
+            let text = e.render();
+            let text = if io::stdout().is_terminal() { text.ansi().to_string() } else { text.to_string() };
+            return exit(print(&text));
+        }
+        Err(e) => {
+            eprintln!("planecast: {}", plain(&e));
+            return ExitCode::from(2);
+        }
+    };
+    exit(match cli.command {
+        Command::Decode(args) => args.run().map_err(Error::from),
+        Command::Info(args) => args.run().map_err(Error::from),
+        Command::Query(args) => args.run().map_err(Error::from),
+        Command::Render(args) => args.run(),
+        Command::Fly(args) => args.run(),
+        Command::Pick(args) => args.run(),
+        Command::Demo(args) => demo::demo(&args.output),
+    })
+}
+
+/// `--flag -5,3` as `--flag=-5,3`: clap takes what starts with a hyphen for a flag. (Told to allow hyphens in values,
+/// it would take a flag for the value where one was forgotten.)
+fn join_negative(args: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut joined: Vec<OsString> = Vec::new();
+    for arg in args {
+        let number = matches!(arg.as_encoded_bytes(), [b'-', b'0'..=b'9' | b'.', ..]);
+        let flag = |last: &OsString| last.as_encoded_bytes().starts_with(b"--") && last.len() > 2;
+        match joined.last_mut() {
+            Some(last) if number && flag(last) && !last.as_encoded_bytes().contains(&b'=') => {
+                last.push("=");
+                last.push(arg);
+            }
+            _ => joined.push(arg),
+        }
+    }
+    joined
+}
+
+/// What clap has to say, on one line: its first paragraph.
+fn plain(error: &clap::Error) -> String {
+    if error.kind() == clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        return "a command is missing; planecast --help lists them".into();
+    }
+    let text = error.render().to_string();
+    let paragraph = text.split("\n\n").next().unwrap_or_default();
+    let words: Vec<&str> = paragraph.trim_start_matches("error: ").split_whitespace().collect();
+    words.join(" ")
+}
+
+fn exit(done: Result<()>) -> ExitCode {
+    let Err(error) = done else { return ExitCode::SUCCESS };
+    eprintln!("planecast: {error}");
+    match error {
+        Error::Argument(_) => ExitCode::from(2),
+        Error::Scene(e) => ExitCode::from(planecast_encoder::cli::exit_status(&e)),
+        _ => ExitCode::FAILURE,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(line: &str) -> Result<Cli, String> {
+        Cli::try_parse_from(join_negative(line.split_whitespace().map(OsString::from))).map_err(|e| plain(&e))
+    }
+
+    fn render(flags: &str) -> RenderArgs {
+        match parse(&format!("planecast render s.pcast -o o.png {flags}")).unwrap().command {
+            Command::Render(args) => args,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn refused(flags: &str) -> String {
+        parse(&format!("planecast render s.pcast -o o.png {flags}")).unwrap_err()
+    }
+
+    #[test]
+    fn cli_definition_is_sound() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn cli_takes_negative_values_with_a_space_or_an_equals_sign() {
+        for flags in
+            ["--eye -5,3,-2 --yaw -30 --pitch -9e1 --roll -.5", "--eye=-5,3,-2 --yaw=-30 --pitch=-9e1 --roll=-.5"]
+        {
+            let args = render(flags);
+            assert_eq!(args.eye, Some(DVec3::new(-5.0, 3.0, -2.0)), "{flags}");
+            assert_eq!((args.yaw, args.pitch, args.roll), (Some(-30.0), Some(-90.0), -0.5), "{flags}");
+        }
+        let Command::Pick(args) = parse("planecast pick s.pcast --from -1,-2,-3 --dir -0.5,0,1e-3").unwrap().command
+        else {
+            panic!()
+        };
+        assert_eq!((args.from.y, args.dir), (-2.0, DVec3::new(-0.5, 0.0, 1e-3)));
+    }
+
+    #[test]
+    fn cli_swallows_no_flag_as_a_value() {
+        let args = render("--eye -5,3,-2 --yaw 30 --size 7x5");
+        assert_eq!((args.yaw, args.size), (Some(30.0), [7, 5]));
+        assert_eq!(refused("--eye --yaw 30"), "a value is required for '--eye <X,Y,Z>' but none was supplied");
+        assert!(refused("--yaw --pitch 3").starts_with("a value is required for '--yaw <D>'"));
+    }
+
+    #[test]
+    fn cli_resolves_every_drawing_flag() {
+        let usual = render("").draw.options();
+        assert_eq!(usual, Options::default());
+        let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --cull horizon,bits \
+                   --equidistant 900 --remap nearest --no-gap-fill --shading ssao --fog 2500";
+        let expected = Options {
+            view_distance: 40_000.0,
+            repeat: Repeat { x: true, z: true },
+            lod: None,
+            planes: Planes::Factor(0.5),
+            readjust: true,
+            culling: Culling { horizon: true, bits: true, ..Culling::NONE },
+            equidistant: Some(900.0),
+            remap: Remap::Nearest,
+            gap_fill: false,
+            shading: Shading::Ssao,
+            fog: Some(2500.0),
+        };
+        assert_eq!(render(all).draw.options(), expected);
+        assert_eq!(render("--planes 77 --lod 2.5 --cull none").draw.options().planes, Planes::Count(77));
+    }
+
+    #[test]
+    fn cli_refuses_what_cannot_be_drawn() {
+        for (flags, what) in [
+            ("--pitch 90.1", "expected -90 to 90 degrees"),
+            ("--pitch nan", "expected a finite number"),
+            ("--fov 0", "expected above 0 and below 180 degrees"),
+            ("--fov 180", "expected above 0 and below 180 degrees"),
+            ("--eye 1,2", "expected three numbers"),
+            ("--eye 1,2,inf", "expected three numbers"),
+            ("--size 0x5", "each 1 to 16384"),
+            ("--size 16385x5", "each 1 to 16384"),
+            ("--size 16384x16384", "at most 67108864 pixels"),
+            ("--size 640", "expected WxH"),
+            ("--planes 0", "a number of planes from 1"),
+            ("--planes -5", "a number of planes from 1"),
+            ("--planes 0%", "a percentage"),
+            ("--lod 0", "expected pixels above 0, or off"),
+            ("--view-distance -1", "expected a number above 0"),
+            ("--cull horizont", "a list of horizon,center,forward,bits,coarse"),
+            ("--repeat y", "possible values: none, x, z, xz"),
+            ("--device tpu", "possible values: auto, gpu, cpu, exact"),
+            ("--threads 0", "0 is not in 1..=1024"),
+            ("--nosuch", "unexpected argument '--nosuch' found"),
+        ] {
+            let error = refused(flags);
+            assert!(error.contains(what) && !error.contains('\n'), "{flags}: {error}");
+        }
+        assert_eq!(parse("planecast").unwrap_err(), "a command is missing; planecast --help lists them");
+        assert!(parse("planecast fly s -o d --path p.json --tour").unwrap_err().contains("cannot be used with"));
+        assert!(parse("planecast render s.pcast").unwrap_err().ends_with("not provided: --output <OUT.png>"));
+    }
+
+    #[test]
+    fn cli_gives_each_output_its_own_file() {
+        let (a, b) = (PathBuf::from("a.png"), PathBuf::from("b.npy"));
+        let error = check_outputs(&[("--output", Some(&a)), ("--depth", Some(&b)), ("--voxel", Some(&b))]).unwrap_err();
+        assert_eq!(error.to_string(), "--voxel b.npy: is the file of --depth too; give each its own");
+    }
+}
