@@ -15,7 +15,7 @@ override OCCLUSION: bool = true;
 const FAR: f32 = 3e38;
 
 fn ray_at(x: i32, y: i32) -> vec3<f32> {
-    return vec3(frame.origin + frame.step * vec2(f32(x), f32(y)), 1.0);
+    return vec3(frame.start + frame.step * vec2(f32(x), f32(y)), 1.0);
 }
 
 // Depth at a pixel; outside the image and in the sky, FAR.

@@ -39,7 +39,7 @@ struct Frame {
     // 1: pixels that no plane passes within half a pixel are left for gap_fill.
     sparse: u32,
     // Shading: see `ShadeParams`.
-    origin: vec2<f32>,
+    start: vec2<f32>,
     step: vec2<f32>,
     up: vec3<f32>,
     pixel: f32,

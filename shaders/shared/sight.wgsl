@@ -95,20 +95,19 @@ struct Shown {
 
 // Sample j of a run between heights h0 and h1 whose column begins at t0: bottom, front or top, as `Walk::draw` cuts it.
 fn show(j: i32, l: u32, run: u32, h0: f32, h1: f32, t0: f32) -> Shown {
-    let ray_t = (plane.b - 0.5 * plane.e) - f32(j) * plane.e;
+    // The direction through the sample's centre, kept off zero: no depth overflows.
+    let ray_t = max((plane.b - 0.5 * plane.e) - f32(j) * plane.e, TINY);
     let ray_h = (0.5 * plane.c - plane.a) + f32(j) * plane.c;
     let first = run_first(run);
     let last = run_end(run) - 1;
     if (h0 > 0.0 && j < sample_at(t0, h0)) {
-        return Shown(clamp(plane.delta * h0 / ray_h, 0.0, F32_MAX), first);
+        return Shown(h0 * (plane.delta / max(abs(ray_h), TINY)), first);
     }
     if (h1 < 0.0 && j >= sample_at(t0, h1)) {
-        return Shown(clamp(plane.delta * h1 / ray_h, 0.0, F32_MAX), last);
+        return Shown(-h1 * (plane.delta / max(abs(ray_h), TINY)), last);
     }
-    // At the vanishing point itself a front face would be infinitely high: t is kept off zero there.
-    let q = t0 / max(ray_t, TINY);
-    let above = clamp(ray_h * q - h0, 0.0, f32(((last - first + 1) << l) - 1));
-    return Shown(min(plane.delta * q, F32_MAX), first + (i32(above) >> l));
+    let above = clamp((ray_h / ray_t) * t0 - h0, 0.0, f32(((last - first + 1) << l) - 1));
+    return Shown(t0 * (plane.delta / ray_t), first + (i32(above) >> l));
 }
 
 @group(0) @binding(3) var<storage, read_write> plane_color: array<u32>;

@@ -12,8 +12,9 @@ pub mod types;
 
 use crate::camera::Camera;
 use crate::cpu::shade;
+use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, StageTimes, Stats};
+use crate::frame::{Frame, StageTimes};
 use crate::options::{Options, Remap, Shading};
 use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
@@ -93,6 +94,16 @@ pub struct GpuRenderer<'a> {
     pending: VecDeque<Pending>,
     /// Read-back buffers that no frame is using.
     free: Vec<wgpu::Buffer>,
+}
+
+/// Where a frame begins.
+#[derive(Clone, Copy)]
+pub enum Begin<'b> {
+    Traverse,
+    /// With `remap`: planes as `traverse` leaves them.
+    Planes(&'b PlaneBuffer),
+    /// With `shade`: packed colours and depths as `remap` leaves them.
+    Image { color: &'b [u32], depth: &'b [f32] },
 }
 
 /// A frame on its way.
@@ -199,6 +210,55 @@ impl<'a> GpuRenderer<'a> {
 
     /// Sends one frame to the device and returns at once; [`GpuRenderer::collect`] gives frames in the order of submission.
     pub fn submit(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
+        self.submit_from(Begin::Traverse, camera, options, outputs)
+    }
+
+    /// Draws one frame from what an earlier stage left, on the CPU perhaps: to compare stages one by one.
+    pub fn render_from(
+        &mut self,
+        begin: Begin<'_>,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+    ) -> Result<Frame> {
+        self.submit_from(begin, camera, options, outputs)?;
+        self.collect().expect("a frame was submitted")
+    }
+
+    /// What `traverse` left of the latest frame, `samples` long; voxels only where the frame needed them.
+    pub fn plane_buffer(&self, samples: usize, voxels: bool) -> Result<PlaneBuffer> {
+        let read = |name: &str, size: u64| -> Result<Vec<u8>> {
+            let copy = self.engine.checked("read-back buffer", || {
+                self.engine.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("read-back"),
+                    size,
+                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                    mapped_at_creation: false,
+                })
+            })?;
+            let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            encoder.copy_buffer_to_buffer(&self.buffers[name], 0, &copy, 0, size);
+            let submission = self.engine.queue.submit([encoder.finish()]);
+            copy.map_async(wgpu::MapMode::Read, .., |_| {});
+            self.engine.wait(Some(submission))?;
+            let bytes = copy.get_mapped_range(..).map_err(|e| Error::Device(e.to_string()))?;
+            Ok(bytes.to_vec())
+        };
+        let n = samples as u64;
+        Ok(PlaneBuffer {
+            color: bytemuck::pod_collect_to_vec(&read("plane_color", 4 * n)?),
+            depth: bytemuck::pod_collect_to_vec(&read("plane_depth", 4 * n)?),
+            voxel: if voxels { bytemuck::pod_collect_to_vec(&read("plane_voxel", 16 * n)?) } else { Vec::new() },
+        })
+    }
+
+    fn submit_from(
+        &mut self,
+        begin: Begin<'_>,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+    ) -> Result<()> {
         check(camera, options)?;
         let start = Instant::now();
         if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
@@ -213,11 +273,25 @@ impl<'a> GpuRenderer<'a> {
         let upload = Upload::new(self.resident, &setup, camera, options);
         let plan = Plan::new(&setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
-        self.upload(&upload, camera)?;
+        self.upload(&upload, camera);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.traverse(&mut encoder, &plan, options)?;
-        self.remap(&mut encoder, &plan)?;
+        match begin {
+            Begin::Traverse => {
+                self.traverse(&mut encoder, &plan, options)?;
+                self.remap(&mut encoder, &plan)?;
+            }
+            Begin::Planes(buffer) => {
+                self.write("plane_color", bytemuck::cast_slice(&buffer.color));
+                self.write("plane_depth", bytemuck::cast_slice(&buffer.depth));
+                self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
+                self.remap(&mut encoder, &plan)?;
+            }
+            Begin::Image { color, depth } => {
+                self.write("image_color", bytemuck::cast_slice(color));
+                self.write("image_depth", bytemuck::cast_slice(depth));
+            }
+        }
         self.shade(&mut encoder, &plan)?;
         if let Some(queries) = &self.queries {
             encoder.resolve_query_set(queries, 0..TIMES, &self.buffers["times"], 0);
@@ -410,19 +484,19 @@ impl GpuRenderer<'_> {
         Ok(())
     }
 
-    fn upload(&mut self, upload: &Upload, camera: &Camera) -> Result<()> {
-        let write = |name: &str, bytes: &[u8]| {
-            if !bytes.is_empty() {
-                self.engine.queue.write_buffer(&self.buffers[name], 0, bytes);
-            }
-        };
-        write("frame", bytemuck::bytes_of(&upload.frame));
-        write("planes", bytemuck::cast_slice(&upload.planes));
-        write("lines", bytemuck::cast_slice(&upload.lines));
-        write("bounds", bytemuck::cast_slice(&upload.bounds));
-        write("holes", &[0; 4]);
-        write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera))));
-        Ok(())
+    fn upload(&self, upload: &Upload, camera: &Camera) {
+        self.write("frame", bytemuck::bytes_of(&upload.frame));
+        self.write("planes", bytemuck::cast_slice(&upload.planes));
+        self.write("lines", bytemuck::cast_slice(&upload.lines));
+        self.write("bounds", bytemuck::cast_slice(&upload.bounds));
+        self.write("holes", &[0; 4]);
+        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera))));
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) {
+        if !bytes.is_empty() {
+            self.engine.queue.write_buffer(&self.buffers[name], 0, bytes);
+        }
     }
 
     /// Records one dispatch. `names` maps what a shader calls a buffer to what it is called here, where that differs.

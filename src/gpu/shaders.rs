@@ -65,7 +65,7 @@ fn header() -> String {
     constant("BLOCK_SHIFT", format!("{BLOCK_SHIFT}u"));
     constant("BLOCK_SIZE", format!("{}i", 1 << BLOCK_SHIFT));
     constant("STEEP", format!("{STEEP:?}f"));
-    constant("TINY", "1e-30f".into());
+    constant("TINY", "1e-20f".into());
     constant("F32_MAX", format!("{:?}f", f32::MAX));
     // As bits: WGSL has no infinity.
     constant("INFINITY", format!("{}u", f32::INFINITY.to_bits()));
