@@ -108,6 +108,11 @@ fn walk() {
                 t0 = t1;
                 continue;
             }
+            // Rounding can put the world's far edge a little before `t_end`.
+            let within = (cell >= vec2(0)) & (cell < size);
+            if (!((within.x || frame.repeat_x == 1u) && (within.y || frame.repeat_z == 1u))) {
+                return;
+            }
             // The block of columns that `cell` lies in, cut off where the world repeats.
             let wrapped = vec2(wrap(cell.x, size.x), wrap(cell.y, size.y));
             let up = min((wrapped | vec2(BLOCK_SIZE - 1)) + 1, size) - wrapped;

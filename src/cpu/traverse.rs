@@ -498,6 +498,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                     continue;
                 }
 
+                // Rounding can put the world's far edge a little before `t_end`.
+                let outside = |axis: usize| !setup.repeats[axis] && !(0..size[axis]).contains(&cell[axis]);
+                if outside(0) || outside(1) {
+                    return;
+                }
                 // The block of columns that `cell` lies in, cut off where the world repeats.
                 let wrapped = [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])];
                 let mut stop = [0; 2];

@@ -54,6 +54,27 @@ pub struct Table {
     pub lines: Vec<Line>,
 }
 
+/// A flight of `n` poses over a scene: a loop over the world and half as far again beyond it, low and high, with the
+/// camera turning from straight down to 40 degrees up and rolling in every fifth pose. Never inside a voxel.
+pub fn poses(resident: &Resident, n: usize, width: u32, height: u32) -> Vec<Camera> {
+    let level = &resident.levels[0];
+    let (nx, nz) = (f64::from(level.nx), f64::from(level.nz));
+    let pose = |i: usize| {
+        let turn = i as f64 / n as f64 * std::f64::consts::TAU;
+        let (x, z) = (nx * (0.5 + 0.75 * turn.cos()), nz * (0.5 + 0.75 * (2.0 * turn).sin()));
+        let column = |x: f64, z: f64| {
+            let ix = z.rem_euclid(nz) as usize * level.nx as usize + x.rem_euclid(nx) as usize;
+            level.column(ix).next().map_or(0, |run| run.end())
+        };
+        let ground = f64::from(column(x, z));
+        let y = ground + 3.0 + [0.05, 0.3, 1.0][i % 3] * f64::from(level.top);
+        let pitch = [0.0, -15.0, -35.0, 10.0, -60.0, -90.0, -25.0, 40.0, -5.0, -80.0][i % 10];
+        let roll = if i % 5 == 4 { 30.0 } else { 0.0 };
+        Camera { eye: glam::DVec3::new(x, y, z), yaw: 137.5 * i as f64 % 360.0, pitch, roll, fov: 60.0, width, height }
+    };
+    (0..n).map(pose).collect()
+}
+
 fn spread(mut v: Vec<f64>) -> Spread {
     v.sort_by(f64::total_cmp);
     match v[..] {

@@ -29,11 +29,12 @@ use std::time::Instant;
 use types::{FrameParams, Upload};
 
 /// How `traverse` is spread over the device. All draw the same picture but for float rounding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Kernel {
     /// One plane per invocation: the paper's mapping.
     Invocation,
     /// One plane per workgroup: all lanes walk slices of the plane's ray at once.
+    #[default]
     Workgroup,
     /// One ray per pixel over the same tables and levels: the baseline.
     Raycast,
@@ -103,7 +104,10 @@ pub enum Begin<'b> {
     /// With `remap`: planes as `traverse` leaves them.
     Planes(&'b PlaneBuffer),
     /// With `shade`: packed colours and depths as `remap` leaves them.
-    Image { color: &'b [u32], depth: &'b [f32] },
+    Image {
+        color: &'b [u32],
+        depth: &'b [f32],
+    },
 }
 
 /// A frame on its way.
@@ -252,13 +256,7 @@ impl<'a> GpuRenderer<'a> {
         })
     }
 
-    fn submit_from(
-        &mut self,
-        begin: Begin<'_>,
-        camera: &Camera,
-        options: &Options,
-        outputs: Outputs,
-    ) -> Result<()> {
+    fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
         check(camera, options)?;
         let start = Instant::now();
         if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {

@@ -99,10 +99,16 @@ fn planes_kernels_draw_what_the_cpu_draws() {
         for (name, options) in [
             ("levels off", Options { lod: None, ..flat() }),
             ("levels", flat()),
-            ("coarse levels, repeated", Options { lod: Some(4.0), repeat: Repeat { x: true, z: true }, view_distance: 2000.0, ..flat() }),
+            (
+                "coarse levels, repeated",
+                Options { lod: Some(4.0), repeat: Repeat { x: true, z: true }, view_distance: 2000.0, ..flat() },
+            ),
             ("nearest plane", Options { remap: Remap::Nearest, ..flat() }),
             ("few planes, gap fill", Options { remap: Remap::Nearest, planes: Planes::Factor(0.4), ..flat() }),
-            ("few planes, holes", Options { remap: Remap::Nearest, planes: Planes::Factor(0.4), gap_fill: false, ..flat() }),
+            (
+                "few planes, holes",
+                Options { remap: Remap::Nearest, planes: Planes::Factor(0.4), gap_fill: false, ..flat() },
+            ),
             ("readjusted", Options { readjust: true, ..flat() }),
             ("readjusted, gap fill", Options { readjust: true, remap: Remap::Nearest, ..flat() }),
             ("equidistant", Options { equidistant: Some(60.0), ..flat() }),
