@@ -165,7 +165,7 @@ pub struct DrawArgs {
     #[arg(long, value_name = "N|auto|FACTOR%", value_parser = planes, default_value = "auto")]
     planes: Planes,
     /// Distance between planes: a pixel everywhere, or wider where planes would crowd
-    #[arg(long, value_enum, value_name = "SPACING", default_value = "full")]
+    #[arg(long, value_enum, value_name = "SPACING", default_value = "readjusted")]
     spacing: Spacing,
     /// Culling, for measuring: all, none, or some of horizon,center,forward,bits,coarse
     #[arg(long, value_name = "LIST", value_parser = culling, default_value = "all")]

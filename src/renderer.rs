@@ -167,7 +167,7 @@ impl<'a> CpuRenderer<'a> {
     ) -> [u64; 2] {
         let width = frame.width;
         // Planes at most a pixel apart reach every pixel.
-        let sparse = setup.fans.iter().any(|f| f.n_planes > 0 && (f.spacing > 1.0 || f.readjusted.is_some()));
+        let sparse = setup.is_sparse();
         if retest && (!sparse || options.gap_fill) {
             let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
             remap::remap_retest(setup, &self.buffer, camera, color, depth, voxel);

@@ -247,8 +247,8 @@ fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Coun
     traverse_one::<R>(task, scratch)
 }
 
-/// Whether [`traverse_one_avx2`] may be called.
-fn has_avx2() -> bool {
+/// Whether the variants for AVX2 may be called.
+pub fn has_avx2() -> bool {
     #[cfg(target_arch = "x86_64")]
     return is_x86_feature_detected!("avx2")
         && is_x86_feature_detected!("bmi1")

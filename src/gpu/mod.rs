@@ -348,7 +348,7 @@ impl Plan {
     ) -> Plan {
         let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
         // Planes at most a pixel apart reach every pixel.
-        let sparse = setup.fans.iter().any(|f| f.n_planes > 0 && (f.spacing > 1.0 || f.readjusted.is_some()));
+        let sparse = setup.is_sparse();
         let longest = setup.fans.iter().filter(|f| f.n_planes > 0).map(|f| f.n_samples).max().unwrap_or(0).max(1);
         let memory = engine.limits.max_compute_workgroup_storage_size;
         let most = engine.limits.max_compute_invocations_per_workgroup;

@@ -4,7 +4,7 @@ use crate::camera::Camera;
 use crate::cpu::remap::Row;
 use crate::cpu::shade::ShadeParams;
 use crate::options::Options;
-use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, vertical};
+use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
 use crate::resident::Resident;
 use bytemuck::{Pod, Zeroable};
 
@@ -228,7 +228,7 @@ fn fan_line(fan: &Fan, at: f64, step: f64, anchor: i32, narrow: f64) -> Line {
 fn stripes(fan: &Fan) -> impl Iterator<Item = [u32; 2]> + '_ {
     let r = fan.readjusted.expect("only fans whose stripes differ have bounds");
     (0..=2 * fan.n_planes).map(move |i| {
-        let at = fixed(r.centre + r.distance * (r.start + f64::from(i) * 0.5 * r.step).sinh());
+        let at = fixed(r.centre + r.distance * uncrowd(r.start + f64::from(i) * 0.5 * r.step));
         [(at >> 32) as u32, at as u32]
     })
 }
