@@ -870,7 +870,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let (lo, hi) = (self.lo.min(self.hi) as usize, self.hi as usize);
         for (w, &open) in self.open.iter().enumerate() {
             // Bits outside the window are out of date: the window's ends moved over those samples because they are filled.
-            let mut open = open & low_bits(hi.saturating_sub(64 * w).min(64)) & !low_bits(lo.saturating_sub(64 * w).min(64));
+            let mut open =
+                open & low_bits(hi.saturating_sub(64 * w).min(64)) & !low_bits(lo.saturating_sub(64 * w).min(64));
             while open != 0 {
                 let j = 64 * w + open.trailing_zeros() as usize;
                 self.color[j] = 0;
