@@ -34,7 +34,9 @@ pub trait Real:
     const HALF: Self;
     /// Steeper than any slope between voxels, and safe to multiply with any distance.
     const STEEP: Self;
+    /// Nearer to zero no direction's component is taken, so that no depth overflows.
     const TINY: Self;
+    fn abs(self) -> Self;
     fn from_f64(v: f64) -> Self;
     fn from_i32(v: i32) -> Self;
     fn floor_i32(self) -> i32;
@@ -57,7 +59,11 @@ macro_rules! real {
             const ZERO: $t = 0.0;
             const HALF: $t = 0.5;
             const STEEP: $t = 1e18;
-            const TINY: $t = 1e-30;
+            const TINY: $t = 1e-20;
+            #[inline(always)]
+            fn abs(self) -> $t {
+                <$t>::abs(self)
+            }
             #[inline(always)]
             fn from_f64(v: f64) -> $t {
                 v as $t
@@ -160,7 +166,7 @@ pub fn traverse<R: Real>(
     let run = |task: Task<'_>| {
         let n = task.color.len() / task.planes.len();
         let mut counters = Counters::default();
-        let mut scratch = Scratch::default();
+        let mut scratch = Scratch { open: Vec::new(), skip: Vec::new(), sight: Vec::new() };
         for (k, plane) in task.planes.iter().enumerate() {
             let at = k * n..(k + 1) * n;
             let color = &mut task.color[at.clone()];
@@ -177,7 +183,7 @@ pub fn traverse<R: Real>(
     })
 }
 
-fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch, avx2: bool) -> Counters {
+fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) -> Counters {
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         // SAFETY: `has_avx2` has seen that the processor can.
@@ -188,10 +194,21 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch, avx2: bool) -> Co
 }
 
 /// Memory that a task's planes share one after the other.
-#[derive(Default)]
-struct Scratch {
+struct Scratch<R> {
     open: Vec<u64>,
     skip: Vec<u32>,
+    sight: Vec<Sight<R>>,
+}
+
+/// A sample's sight line: the direction `(t, h)` through its centre, which has depth Δ.
+#[derive(Clone, Copy)]
+struct Sight<R> {
+    /// `Δ / t`: depth a unit of horizontal distance.
+    depth_t: R,
+    /// `h / t`.
+    slope: R,
+    /// `|Δ / h|`: depth a unit of height.
+    depth_h: R,
 }
 
 /// One plane's inputs and outputs.
@@ -206,7 +223,7 @@ struct Task1<'a> {
 }
 
 #[inline(always)]
-fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
+fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     macro_rules! walk {
         ($voxel:literal, $fast:literal) => {{
             let mut walk = Walk::<R, $voxel, $fast>::new(task, scratch);
@@ -226,7 +243,7 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
 /// the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch) -> Counters {
+fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     traverse_one::<R>(task, scratch)
 }
 
@@ -278,14 +295,9 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     delta: R,
     eye_y: i32,
     fract_y: R,
-    /// The plane's own window: samples, and the slopes at its ends.
-    first: i32,
-    end: i32,
-    s_first: R,
-    s_end: R,
     /// More samples than any plane has.
     limit: R,
-    /// The open window within it.
+    /// The open window: samples, and the slopes at its ends.
     lo: i32,
     hi: i32,
     s_lo: R,
@@ -299,6 +311,8 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     open: &'a mut [u64],
     /// For a filled sample, one that may be unfilled, or a step towards it.
     skip: &'a mut [u32],
+    /// Sight lines of the samples.
+    sight: &'a mut [Sight<R>],
     color: &'a mut [u32],
     s_hi: R,
     depth: &'a mut [f32],
@@ -313,7 +327,7 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
 
 impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> {
     #[inline(always)]
-    fn new(task: Task1<'a>, scratch: &'a mut Scratch) -> Self {
+    fn new(task: Task1<'a>, scratch: &'a mut Scratch<R>) -> Self {
         let Task1 { resident, setup, plane, culling, color, depth, voxel } = task;
         let n = color.len();
         scratch.open.clear();
@@ -323,6 +337,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             let to = (plane.end as usize - 64 * j).min(64);
             scratch.open[j] = low_bits(to) & !low_bits(from);
         }
+        let dark = Sight { depth_t: R::ZERO, slope: R::ZERO, depth_h: R::ZERO };
+        scratch.sight.resize(n, dark);
         scratch.skip.clear();
         if !FAST {
             scratch.skip.extend(0..=n as u32);
@@ -340,10 +356,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             delta: R::from_f64(plane.b * plane.c - plane.a * plane.e),
             eye_y: setup.eye_cell[1],
             fract_y: R::from_f64(setup.eye_fract[1]),
-            first: plane.first as i32,
-            end: plane.end as i32,
-            s_first: R::ZERO,
-            s_end: R::ZERO,
             limit: R::from_i32(1 << 24),
             lo: plane.first as i32,
             hi: plane.end as i32,
@@ -355,6 +367,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             left: plane.end as i32 - plane.first as i32,
             open: &mut scratch.open,
             skip: &mut scratch.skip,
+            sight: &mut scratch.sight,
             color,
             depth,
             voxel,
@@ -362,10 +375,23 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             cell: [0; 2],
             counters: Counters::default(),
         };
-        walk.s_first = walk.edge_slope(walk.first);
-        walk.s_end = walk.edge_slope(walk.end);
-        (walk.s_lo, walk.s_hi) = (walk.s_first, walk.s_end);
+        walk.look();
+        walk.s_lo = walk.edge_slope(walk.lo);
+        walk.s_hi = walk.edge_slope(walk.hi);
         walk
+    }
+
+    /// Sight lines of all samples: here the divisions are, for whole vectors of samples at once.
+    #[inline(always)]
+    fn look(&mut self) {
+        let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
+        for (i, sight) in self.sight[self.lo as usize..self.hi as usize].iter_mut().enumerate() {
+            let u = R::from_i32(self.lo + i as i32);
+            let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
+            let t = if t > R::TINY { t } else { R::TINY };
+            let up = if h.abs() > R::TINY { h.abs() } else { R::TINY };
+            *sight = Sight { depth_t: self.delta / t, slope: h / t, depth_h: self.delta / up };
+        }
     }
 
     /// Slope of the sight line between samples `j − 1` and `j`.
@@ -391,19 +417,20 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         (lo, hi)
     }
 
-    /// The first sample whose centre is at or above point `(t, h)`, within the plane's own window.
+    /// The first sample of the open window whose centre is at or above point `(t, h)`. Points beyond the window's ends are
+    /// clipped by their slope, before any division: what is divided lies in front of the camera.
     #[inline(always)]
     fn sample(&self, t: R, h: R) -> i32 {
-        if h <= self.s_first * t {
-            return self.first;
+        if h <= self.s_lo * t {
+            return self.lo;
         }
-        if h >= self.s_end * t {
-            return self.end;
+        if h >= self.s_hi * t {
+            return self.hi;
         }
         // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
         let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
         let j = u.truncate(self.limit);
-        (j - i32::from(R::from_i32(j) == u)).clamp(self.first, self.end)
+        (j - i32::from(R::from_i32(j) == u)).max(self.lo).min(self.hi)
     }
 
     #[inline(always)]
@@ -443,13 +470,22 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             } else {
                 R::STEEP
             };
-            let (bottom, top) = (self.height(level.bottom << l), self.height(level.top << l));
+            // Of this level and those that follow: a coarser one can reach beyond a finer.
+            let left = (l..setup.levels).map(|k| (k, &self.resident.levels[k as usize]));
+            let (bottom, top) = left.fold((u32::MAX, 0), |(bottom, top), (k, level)| {
+                (bottom.min(level.bottom << k), top.max(level.top << k))
+            });
+            let (bottom, top) = (self.height(bottom), self.height(top));
             loop {
                 if t0 >= t_end || self.closed() {
                     return;
                 }
                 if t0 >= next_level {
                     break;
+                }
+                // Rounding may let a step across the world's edge end before the walk does.
+                if (0..2).any(|axis| !setup.repeats[axis] && !(0..size[axis]).contains(&cell[axis])) {
+                    return;
                 }
                 // Nothing left can come into the window.
                 if (FAST || self.culling.coarse)
@@ -458,11 +494,19 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 {
                     return;
                 }
+                // Where this way of walking ends, in the midst of a column if need be: not the walk decides what is drawn
+                // at which level, but the distance.
+                let limit = t_end.min(next_level).min(if t0 < equidistant { equidistant } else { R::STEEP });
                 if t0 >= equidistant {
-                    t0 = self.slice(level, l, t0, t_end, &mut cell, dir, cross);
+                    t0 = self.slice(level, l, t0, limit, &mut cell, dir, cross);
                     continue;
                 }
 
+                // Rounding can put the world's far edge a little before `t_end`.
+                let outside = |axis: usize| !setup.repeats[axis] && !(0..size[axis]).contains(&cell[axis]);
+                if outside(0) || outside(1) {
+                    return;
+                }
                 // The block of columns that `cell` lies in, cut off where the world repeats.
                 let wrapped = [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])];
                 let mut stop = [0; 2];
@@ -482,29 +526,37 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 let exit = [cross(0, stop_line(0)), cross(1, stop_line(1))];
                 let t_exit = exit[0].min(exit[1]);
                 if FAST || self.culling.coarse {
-                    let (lo, hi) = self.visible(t0, t_exit.min(t_end));
+                    let (lo, hi) = self.visible(t0, t_exit.min(limit));
                     if bounds.0 == EMPTY
                         || self.height(bounds.end() << l) <= lo
                         || self.height(u32::from(bounds.first()) << l) >= hi
                     {
+                        // The cell that stepping would have come to at `t`: estimated, then put right.
+                        let reached = |axis: usize, t: R| {
+                            let passed = |line: i32| {
+                                let at = cross(axis, line << l);
+                                if axis == 0 { at <= t } else { at < t }
+                            };
+                            let at = (fract[axis] + t * dir[axis]).floor_i32().wrapping_add(eye[axis]) >> l;
+                            let (from, to) = (cell[axis], stop[axis] - step[axis]);
+                            let mut at = at.clamp(from.min(to), from.max(to));
+                            while at != from && !passed(at + 1 - ahead[axis]) {
+                                at -= step[axis];
+                            }
+                            while at != to && passed(at + ahead[axis]) {
+                                at += step[axis];
+                            }
+                            at
+                        };
+                        if t_exit > limit {
+                            cell = [reached(0, limit), reached(1, limit)];
+                            t0 = limit;
+                            continue;
+                        }
                         let axis = usize::from(exit[1] < exit[0]);
                         let other = 1 - axis;
+                        cell[other] = reached(other, t_exit);
                         cell[axis] = stop[axis];
-                        // In the other axis the cell that stepping would have come to: estimated, then put right.
-                        let passed = |line: i32| {
-                            let t = cross(other, line << l);
-                            if other == 0 { t <= t_exit } else { t < t_exit }
-                        };
-                        let at = (fract[other] + t_exit * dir[other]).floor_i32().wrapping_add(eye[other]) >> l;
-                        let (from, to) = (cell[other], stop[other] - step[other]);
-                        let mut at = at.clamp(from.min(to), from.max(to));
-                        while at != from && !passed(at + 1 - ahead[other]) {
-                            at -= step[other];
-                        }
-                        while at != to && passed(at + ahead[other]) {
-                            at += step[other];
-                        }
-                        cell[other] = at;
                         t0 = t0.max(t_exit);
                         continue;
                     }
@@ -515,14 +567,17 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 let mut next = [cross(0, (cell[0] + ahead[0]) << l), cross(1, (cell[1] + ahead[1]) << l)];
                 loop {
                     let axis = usize::from(next[1] < next[0]);
-                    let t1 = next[axis].min(t_end);
+                    let t1 = next[axis].min(limit);
                     if t1 > t0 {
                         self.cell = cell;
                         self.column(level, l, index as usize, t0, t1);
                         t0 = t1;
-                        if self.closed() || t0 >= t_end {
+                        if self.closed() {
                             return;
                         }
+                    }
+                    if t0 >= limit {
+                        break;
                     }
                     cell[axis] += step[axis];
                     if cell[axis] == stop[axis] {
@@ -546,7 +601,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         level: &'a ResidentLevel,
         l: u32,
         t0: R,
-        t_end: R,
+        limit: R,
         cell: &mut [i32; 2],
         dir: [R; 2],
         cross: impl Fn(usize, i32) -> R,
@@ -555,7 +610,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let major = usize::from(plane.dir[1].abs() > plane.dir[0].abs());
         let minor = 1 - major;
         let step = if plane.dir[major] < 0.0 { -1 } else { 1 };
-        let t1 = cross(major, (cell[major] + i32::from(step > 0)) << l).min(t_end).max(t0);
+        let t1 = cross(major, (cell[major] + i32::from(step > 0)) << l).min(limit).max(t0);
         let middle = (t0 + t1) * R::HALF;
         let along = R::from_f64(setup.eye_fract[2 * minor]) + middle * dir[minor];
         cell[minor] = along.floor_i32().wrapping_add(setup.eye_cell[2 * minor]) >> l;
@@ -567,7 +622,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             self.cell = *cell;
             self.column(level, l, index, t0, t1);
         }
-        cell[major] += step;
+        if t1 < limit {
+            cell[major] += step;
+        }
         t1
     }
 
@@ -639,8 +696,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(always)]
     fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
         let Drawn { h0, h1, t0, .. } = d;
-        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0).max(self.lo);
-        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1).min(self.hi);
+        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0);
+        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1);
         if j0 >= j1 {
             return;
         }
@@ -649,9 +706,15 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let f1 = if h1 < R::ZERO { self.sample(t0, h1).clamp(f0, j1) } else { j1 };
         // The common case: a span at an end of the window, beyond all that was drawn within it, just moves the end.
         if FAST && (j1 <= self.hull[0] || j0 >= self.hull[1]) && (j0 == self.lo || j1 == self.hi) {
-            self.emit_face(level, l, Face::Bottom, d, j0, f0);
-            self.emit_face(level, l, Face::Front, d, f0, f1);
-            self.emit_face(level, l, Face::Top, d, f1, j1);
+            if j0 < f0 {
+                self.emit(level, l, Face::Bottom, d, j0 as usize, f0 as usize);
+            }
+            if f0 < f1 {
+                self.emit(level, l, Face::Front, d, f0 as usize, f1 as usize);
+            }
+            if f1 < j1 {
+                self.emit(level, l, Face::Top, d, f1 as usize, j1 as usize);
+            }
             if j0 == self.lo {
                 self.lo = j1;
                 if j1 == self.hull[0] {
@@ -678,17 +741,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             self.fill(level, l, Face::Top, d, f1, j1);
         }
         self.cull(j0, j1);
-    }
-
-    /// Draws one face into samples that are all unfilled.
-    #[inline(always)]
-    fn emit_face(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: i32, to: i32) {
-        let (mut from, to) = (from as usize, to as usize);
-        while from < to {
-            let end = to.min(from + 64);
-            self.emit(level, l, face, d, from, end);
-            from = end;
-        }
     }
 
     /// Draws one face into the unfilled samples of `from .. to`.
@@ -750,47 +802,41 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         end
     }
 
-    /// Writes samples `from .. to`, all unfilled until now and at most 64.
+    /// Writes samples `from .. to`, all unfilled until now.
     #[inline(always)]
     fn emit(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
         let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
-        let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
+        let sight = &self.sight[from..to];
         let depth = &mut self.depth[from..to];
         let color = &mut self.color[from..to];
         if let Face::Front = face {
+            for (z, s) in depth.iter_mut().zip(sight) {
+                *z = (d.t0 * s.depth_t).to_f32();
+            }
             // How far above the run's foot each sight line meets it, in voxels of level 0.
             let top = R::from_i32(((last - first + 1) << l) as i32 - 1);
-            let mut above = [0u32; 64];
-            for (i, (z, above)) in depth.iter_mut().zip(&mut above).enumerate() {
-                let u = R::from_i32((from + i) as i32);
-                let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
-                // At the vanishing point itself a front face would be infinitely high: t is kept off zero there.
-                let q = d.t0 / t.max(R::TINY);
-                *z = finite((self.delta * q).to_f32());
-                *above = (h * q - d.h0).truncate(top) as u32;
-            }
+            let y = |s: &Sight<R>| first + ((s.slope * d.t0 - d.h0).truncate(top) as u32 >> l);
             match &level.paint {
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
                 Paint::Voxel { base, exposed, colors } => {
                     let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
                     let mut paint = Exposed::default();
-                    for (c, above) in color.iter_mut().zip(&above) {
-                        *c = colors[paint.find(exposed, first + (above >> l))];
+                    for (c, s) in color.iter_mut().zip(sight) {
+                        *c = colors[paint.find(exposed, y(s))];
                     }
                 }
             }
             if VOXEL {
-                for (v, above) in self.voxel[from..to].iter_mut().zip(&above) {
-                    *v = [self.cell[0], (first + (above >> l)) as i32, self.cell[1], l as i32];
+                for (v, s) in self.voxel[from..to].iter_mut().zip(sight) {
+                    *v = [self.cell[0], y(s) as i32, self.cell[1], l as i32];
                 }
             }
         } else {
             let (h, y) = if let Face::Top = face { (d.h1, last) } else { (d.h0, first) };
-            let scaled = self.delta * h;
-            for (i, z) in depth.iter_mut().enumerate() {
-                let u = R::from_i32((from + i) as i32);
-                *z = finite((scaled / (ray_h + u * self.c)).to_f32());
+            let up = h.abs();
+            for (z, s) in depth.iter_mut().zip(sight) {
+                *z = (up * s.depth_h).to_f32();
             }
             color.fill(level.paint.color(d.column, d.k, y));
             if VOXEL {
@@ -884,13 +930,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         }
         self.counters
     }
-}
-
-/// A drawn depth: never mistaken for the sky, never behind the eye.
-#[inline(always)]
-fn finite(z: f32) -> f32 {
-    let z = if z > 0.0 { z } else { 0.0 };
-    if z < f32::MAX { z } else { f32::MAX }
 }
 
 /// The exposed run that was looked up last: neighbouring samples mostly share it.

@@ -106,13 +106,16 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
 fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
     let fail = |e: image::ImageError| Error::format(path, format!("image: {e}"));
     guarded(path, "image", || {
-        let reader = || image::ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+        let reader = || {
+            let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+            // The check of plausibility stands in for a fixed limit.
+            reader.no_limits();
+            Ok(reader)
+        };
         let io = |e| Error::io(path, "read", e);
         let (w, h) = reader().map_err(io)?.into_dimensions().map_err(fail)?;
         plausible(path, w, h, bytes.len())?;
-        let mut reader = reader().map_err(io)?;
-        reader.no_limits();
-        reader.decode().map_err(fail)
+        reader().map_err(io)?.decode().map_err(fail)
     })
 }
 
@@ -121,7 +124,10 @@ fn plausible(path: &Path, w: u32, h: u32, len: usize) -> Result<()> {
         return Err(Error::format(path, format!("an image of {w} × {h} pixels has none")));
     }
     if u64::from(w) * u64::from(h) > (len as u64).saturating_mul(MAX_INFLATION) {
-        return Err(Error::format(path, format!("{len} bytes cannot hold the {w} × {h} pixels that the header claims")));
+        return Err(Error::format(
+            path,
+            format!("{len} bytes cannot hold the {w} × {h} pixels that the header claims"),
+        ));
     }
     Ok(())
 }

@@ -118,7 +118,8 @@ impl Dtype {
 }
 
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
-    let parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|e| format!("{e}"))?;
+    let parts: Vec<u64> =
+        s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|e| format!("{e}"))?;
     let dims: [u64; 3] = parts.try_into().map_err(|_| "three sizes are needed, as in 256,128,64".to_owned())?;
     if dims.contains(&0) {
         return Err("every size must be at least 1".to_owned());
@@ -131,20 +132,24 @@ pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
         return procedural::from_name(name);
     }
-    let bytes = map(path)?;
+    read(path, &map(path)?, opts)
+}
+
+/// Reads an input whose file at `path` holds `bytes`.
+fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
         None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
     };
     let mut input = match format {
-        Format::Raw => volume::raw(path, &bytes, opts),
-        Format::Npy => volume::npy(path, &bytes, opts),
-        Format::Nrrd => volume::nrrd(path, &bytes, opts),
-        Format::Nifti => volume::nifti(path, &bytes, opts),
-        Format::Heightmap => heightmap::read(path, &bytes, opts),
-        Format::Vxl => vxl::read(path, &bytes),
-        Format::Vox => vox::read(path, &bytes),
+        Format::Raw => volume::raw(path, bytes, opts),
+        Format::Npy => volume::npy(path, bytes, opts),
+        Format::Nrrd => volume::nrrd(path, bytes, opts),
+        Format::Nifti => volume::nifti(path, bytes, opts),
+        Format::Heightmap => heightmap::read(path, bytes, opts),
+        Format::Vxl => vxl::read(path, bytes),
+        Format::Vox => vox::read(path, bytes),
     }?;
     let mut unused = |flag: &str, given: bool, why: &str| {
         if given {
@@ -235,10 +240,7 @@ fn world_dims(path: &Path, dims: [u64; 3], hint: &str) -> Result<[u32; 3]> {
 }
 
 /// Columns made in parallel, one row of constant z at a time: `row` ends `nx` columns in the builder it is given.
-fn build_rows(
-    [nx, ny, nz]: [u32; 3],
-    row: impl Fn(u32, &mut ColumnsBuilder) -> Result<()> + Sync,
-) -> Result<Columns> {
+fn build_rows([nx, ny, nz]: [u32; 3], row: impl Fn(u32, &mut ColumnsBuilder) -> Result<()> + Sync) -> Result<Columns> {
     let rows = (0..nz)
         .into_par_iter()
         .map(|z| {

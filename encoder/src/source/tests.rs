@@ -1,1 +1,950 @@
+//! Each reader: a good file made here, and hostile ones.
+
+use std::io::Write;
+
+use clap::{Parser, ValueEnum};
+use flate2::write::GzEncoder;
+
+use super::procedural::noise::hash;
+use super::procedural::{Kind, from_name, procedural};
 use super::*;
+use crate::{Colors, Rgb, Run};
+
+/// A file in a folder that goes away with it.
+struct File(tempfile::TempDir, PathBuf);
+
+fn file(name: &str, bytes: &[u8]) -> File {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join(name);
+    std::fs::write(&path, bytes).unwrap();
+    File(dir, path)
+}
+
+#[derive(Parser)]
+struct Cli {
+    #[command(flatten)]
+    read: ReadOptions,
+}
+
+/// Options as typed.
+fn opts(flags: &str) -> ReadOptions {
+    Cli::try_parse_from(["x"].into_iter().chain(flags.split_whitespace())).unwrap().read
+}
+
+/// Reads `bytes` as a file of that name and checks that what comes back keeps its promises.
+fn try_read(name: &str, bytes: &[u8], flags: &str) -> Result<Input> {
+    let input = super::read(Path::new(name), bytes, &opts(flags))?;
+    assert_eq!(broken_promise(&input), None);
+    Ok(input)
+}
+
+fn read(name: &str, bytes: &[u8], flags: &str) -> Input {
+    try_read(name, bytes, flags).unwrap()
+}
+
+fn error(name: &str, bytes: &[u8], flags: &str) -> String {
+    match try_read(name, bytes, flags) {
+        Err(e) => e.to_string(),
+        Ok(input) => panic!("{name} was read: {:?}", input.columns.dims()),
+    }
+}
+
+/// What `Input` promises and this one does not keep.
+fn broken_promise(input: &Input) -> Option<String> {
+    let c = &input.columns;
+    let n = c.nx() as usize * c.nz() as usize;
+    for ix in 0..n {
+        let runs = &c.runs()[c.range(ix)];
+        if runs.windows(2).any(|w| w[0].end() >= u32::from(w[1].first())) {
+            return Some(format!("column {ix}: runs touch, overlap or descend: {runs:?}"));
+        }
+        if runs.iter().any(|r| r.first() > r.last() || r.end() > c.ny()) {
+            return Some(format!("column {ix}: a run is not inside the world"));
+        }
+    }
+    match &input.colors {
+        Colors::Column(colors) if colors.len() != n => Some("not one colour a column".to_owned()),
+        Colors::Run(colors) if colors.len() != c.runs().len() => Some("not one colour a run".to_owned()),
+        Colors::Voxel { offsets, entries } => {
+            if offsets.len() != n + 1 || offsets[n] as usize != entries.len() {
+                return Some("colour offsets do not fit".to_owned());
+            }
+            (0..n).find_map(|ix| {
+                let own = &entries[offsets[ix] as usize..offsets[ix + 1] as usize];
+                let (x, z) = (ix as u32 % c.nx(), ix as u32 / c.nx());
+                (own.windows(2).any(|w| w[0].0 >= w[1].0) || own.iter().any(|&(y, _)| c.find(x, y.into(), z).is_none()))
+                    .then(|| format!("column {ix}: colours do not ascend or are on air"))
+            })
+        }
+        _ => None,
+    }
+}
+
+#[test]
+fn checker_sees_touching_runs_and_colours_on_air() {
+    let columns = |runs: &[Run]| Columns::from_parts(1, 9, 1, vec![0, runs.len() as u32], runs.to_vec());
+    let input = |runs: &[Run], colors| Input { columns: columns(runs), colors, notes: Vec::new() };
+    let voxel = |y: u16| Colors::Voxel { offsets: vec![0, 1], entries: vec![(y, [0; 3])] };
+    let runs = [Run::new(1, 2), Run::new(4, 8)];
+    assert_eq!(broken_promise(&input(&runs, voxel(2))), None);
+    assert!(broken_promise(&input(&runs, voxel(3))).is_some());
+    assert!(broken_promise(&input(&runs, Colors::Run(vec![[0; 3]]))).is_some());
+    assert!(broken_promise(&input(&runs, Colors::Column(Vec::new()))).is_some());
+    assert!(broken_promise(&input(&[Run::new(1, 3), Run::new(4, 8)], Colors::None)).is_some());
+    assert!(broken_promise(&input(&[Run::new(4, 9)], Colors::None)).is_some());
+}
+
+/// No prefix of a good file is a file, and none makes a panic.
+fn refuses_every_prefix(name: &str, bytes: &[u8], flags: &str) {
+    refuses_every_prefix_but(0, name, bytes, flags);
+}
+
+/// The same for a format whose last `n` bytes hold nothing that is needed: those may be missed or not.
+fn refuses_every_prefix_but(n: usize, name: &str, bytes: &[u8], flags: &str) {
+    assert!(try_read(name, bytes, flags).is_ok());
+    let (path, opts) = (Path::new(name), opts(flags));
+    for len in 0..bytes.len() {
+        let outcome = super::read(path, &bytes[..len], &opts);
+        let all = bytes.len();
+        assert!(outcome.is_err() || len + n >= all, "{name}: the first {len} of {all} bytes were read");
+    }
+}
+
+/// Whatever a byte is changed to, the answer is an input that keeps its promises or an error.
+fn survives_changed_bytes(name: &str, bytes: &[u8], flags: &str) {
+    let (path, opts) = (Path::new(name), opts(flags));
+    for at in 0..bytes.len().min(1500) {
+        for value in [0, 1, 0x7F, 0x80, 0xFF, bytes[at] ^ 0x10] {
+            let mut bytes = bytes.to_vec();
+            bytes[at] = value;
+            if let Ok(input) = super::read(path, &bytes, &opts) {
+                assert_eq!(broken_promise(&input), None, "{name}: byte {at} = {value}");
+            }
+        }
+    }
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut out = GzEncoder::new(Vec::new(), flate2::Compression::default());
+    out.write_all(bytes).unwrap();
+    out.finish().unwrap()
+}
+
+// Volumes.
+
+/// Longer along x than a word of bits, so that the last word is a part.
+const DIMS: [usize; 3] = [70, 5, 9];
+
+/// Values −100 … 155 with runs of several voxels on every axis.
+fn value(x: usize, y: usize, z: usize) -> i32 {
+    (hash(1, x as u32 / 3, y as u32 / 2, z as u32 / 2) >> 24) as i32 - 100
+}
+
+/// The volume's values in file order.
+fn values<T>(f: impl Fn(i32) -> T) -> Vec<T> {
+    let [nx, ny, nz] = DIMS;
+    let at = |i: usize| f(value(i % nx, i / nx % ny, i / (nx * ny)));
+    (0..nx * ny * nz).map(at).collect()
+}
+
+fn bytes_of<const N: usize>(values: Vec<[u8; N]>) -> Vec<u8> {
+    values.concat()
+}
+
+fn u8_volume() -> Vec<u8> {
+    values(|v| v.max(0) as u8)
+}
+
+/// Compares with one look at `solid` a voxel; `solid` takes file coordinates.
+fn assert_volume(input: &Input, z_up: bool, solid: impl Fn(usize, usize, usize) -> bool) {
+    let [nx, ny, nz] = DIMS;
+    let dims = if z_up { [nx, nz, ny] } else { DIMS };
+    assert_eq!(input.columns.dims().map(|d| d as usize), dims);
+    for (x, y, z) in (0..nx * ny * nz).map(|i| (i % nx, i / nx % ny, i / (nx * ny))) {
+        let world = if z_up { [x, z, ny - 1 - y] } else { [x, y, z] };
+        let [wx, wy, wz] = world.map(|v| v as i64);
+        assert_eq!(input.columns.solid(wx, wy, wz), solid(x, y, z), "file voxel ({x}, {y}, {z})");
+    }
+}
+
+#[test]
+fn raw_voxels_land_where_the_up_axis_says() {
+    for (flags, z_up) in [("", false), ("--up y", false), ("--up z", true)] {
+        let input = read("v.raw", &u8_volume(), &format!("--dims 70,5,9 {flags}"));
+        assert_volume(&input, z_up, |x, y, z| value(x, y, z) > 0);
+    }
+}
+
+#[test]
+#[should_panic(expected = "file voxel (69, 4, 8)")]
+fn raw_comparison_sees_one_wrong_voxel() {
+    let mut bytes = u8_volume();
+    let last = bytes.last_mut().unwrap();
+    *last = u8::from(*last == 0);
+    assert_volume(&read("v.raw", &bytes, "--dims 70,5,9"), false, |x, y, z| value(x, y, z) > 0);
+}
+
+#[test]
+fn raw_values_of_every_type_meet_the_iso_value() {
+    let at_least = |iso: i32| move |x, y, z| value(x, y, z) >= iso;
+    let volume = |bytes: Vec<u8>, dtype: &str, iso: &str| {
+        read("v.raw", &bytes, &format!("--dims 70,5,9 --dtype {dtype} --iso {iso}"))
+    };
+    assert_volume(&volume(u8_volume(), "u8", "40"), false, at_least(40));
+    assert_volume(&volume(bytes_of(values(|v| (v as i8).to_le_bytes())), "i8", "-5"), false, |x, y, z| {
+        value(x, y, z) as i8 >= -5
+    });
+    assert_volume(&volume(bytes_of(values(|v| ((v + 300) as u16).to_le_bytes())), "u16", "340"), false, at_least(40));
+    assert_volume(&volume(bytes_of(values(|v| (v as i16 * 9).to_le_bytes())), "i16", "-270"), false, at_least(-30));
+    assert_volume(&volume(bytes_of(values(|v| (v as f32 / 10.0).to_le_bytes())), "f32", "0.7"), false, at_least(7));
+    assert_volume(&volume(bytes_of(values(|v| f64::from(v).to_le_bytes())), "f64", "1e1"), false, at_least(10));
+    assert_volume(&volume(bytes_of(values(|v| (i64::from(v) << 40).to_le_bytes())), "i64", "0"), false, at_least(0));
+}
+
+#[test]
+fn raw_nan_is_air() {
+    let bytes = bytes_of([f32::NAN, 1.0, f32::NEG_INFINITY, f32::INFINITY].map(f32::to_le_bytes).to_vec());
+    let input = read("v.raw", &bytes, "--dims 1,4,1 --dtype f32 --iso -1e30");
+    assert_eq!(input.columns.column(0, 0), [Run::new(1, 1), Run::new(3, 3)]);
+}
+
+#[test]
+fn raw_errors_say_what_was_expected() {
+    let e = error("v.raw", &[0; 59], "--dims 3,4,5");
+    assert!(e.contains("59 bytes") && e.contains("exactly 60"), "{e}");
+    let e = error("v.raw", &[0; 60], "--dims 3,4,5 --dtype f32");
+    assert!(e.contains("exactly 240"), "{e}");
+    let e = error("v.raw", &[0; 60], "");
+    assert!(e.contains("--dims"), "{e}");
+    let e = error("v.raw", &bytes_of([-7i16, 5, 900].map(i16::to_le_bytes).to_vec()), "--dims 3,1,1 --dtype i16");
+    assert!(e.contains("from -7 to 900") && e.contains("--iso"), "{e}");
+    let e = error("v.raw", &[0; 60], "--dims 1048576,1048576,1048576");
+    assert!(e.contains("exactly 1152921504606846976"), "{e}");
+    let e = error("v.raw", &[0; 60], "--dims 4194304,4194304,4194304");
+    assert!(e.contains("beyond any memory"), "{e}");
+    for dims in ["3,4", "3,4,5,6", "0,1,1", "a,b,c", "-1,2,3"] {
+        assert!(Cli::try_parse_from(["x", "--dims", dims]).is_err(), "{dims}");
+    }
+}
+
+#[test]
+fn raw_columns_reach_65536_and_no_higher() {
+    let input = read("v.raw", &[1; 65_536], "--dims 1,65536,1");
+    assert_eq!(input.columns.column(0, 0), [Run::new(0, u16::MAX)]);
+    let mut bytes = vec![0; 65_536];
+    bytes.iter_mut().step_by(2).for_each(|b| *b = 1);
+    assert_eq!(read("v.raw", &bytes, "--dims 1,1,65536 --up z").columns.runs().len(), 32_768);
+    let e = error("v.raw", &[1; 65_537], "--dims 1,65537,1");
+    assert!(e.contains("65537 voxels high") && e.contains("--up"), "{e}");
+}
+
+fn npy_file(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let text = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': ({shape}), }}\n");
+    [b"\x93NUMPY\x01\0", &(text.len() as u16).to_le_bytes()[..], text.as_bytes(), data].concat()
+}
+
+#[test]
+fn npy_reads_either_order_and_byte_order() {
+    let solid = |x, y, z| value(x, y, z) >= 20;
+    let shape = "9, 5, 70";
+    let c_order = npy_file("<i2", "False", shape, &bytes_of(values(|v| (v as i16).to_le_bytes())));
+    assert_volume(&read("a.npy", &c_order, "--iso 20"), false, solid);
+    let big = npy_file(">i2", "False", shape, &bytes_of(values(|v| (v as i16).to_be_bytes())));
+    assert_volume(&read("a.npy", &big, "--iso 20 --up z"), true, solid);
+    let [nx, ny, nz] = DIMS;
+    let data = (0..nx * ny * nz).map(|i| (value(i / (nz * ny), i / nz % ny, i % nz) as i16).to_le_bytes()).collect();
+    let fortran = npy_file("<i2", "True", shape, &bytes_of(data));
+    assert_volume(&read("no-name", &fortran, "--iso 20"), false, solid);
+}
+
+#[test]
+fn npy_refuses_what_is_no_volume() {
+    let good = npy_file("|u1", "False", "2, 3, 4", &[1; 24]);
+    refuses_every_prefix("a.npy", &good, "");
+    survives_changed_bytes("a.npy", &good, "");
+    assert!(error("a.npy", &npy_file("|u1", "False", "6, 4", &[1; 24]), "").contains("three axes"));
+    assert!(error("a.npy", &npy_file("<c8", "False", "1, 1, 3", &[1; 24]), "").contains("\"<c8\""));
+    let e = error("a.npy", &npy_file("|u1", "True", "1048576, 1048576, 1048576", &[1; 24]), "");
+    assert!(e.contains("expects 1152921504606846976"), "{e}");
+}
+
+const NRRD: &str = "NRRD0004\n# note\ntype: short\ndimension: 3\nsizes: 70 5 9\nendian: little\n";
+
+#[test]
+fn nrrd_reads_raw_gzip_and_detached_values() {
+    let solid = |x, y, z| value(x, y, z) >= 20;
+    let data = bytes_of(values(|v| (v as i16).to_le_bytes()));
+    let with = |header: &str, data: &[u8]| [header.as_bytes(), data].concat();
+    let raw = with(&format!("{NRRD}encoding: raw\nkey:=value\n\n"), &data);
+    assert_volume(&read("a.nrrd", &raw, "--iso 20"), false, solid);
+    let skipped = with(&format!("{NRRD}encoding: raw\nbyte skip: -1\n\nsomething else"), &data);
+    assert_volume(&read("a.nrrd", &skipped, "--iso 20"), false, solid);
+    let gz = with(&format!("{NRRD}encoding: gzip\n\n"), &gzip(&data));
+    assert_volume(&read("a.nrrd", &gz, "--iso 20 --up z"), true, solid);
+    let big = with(
+        &format!("{}encoding: raw\n\n", NRRD.replace("little", "big")),
+        &bytes_of(values(|v| (v as i16).to_be_bytes())),
+    );
+    assert_volume(&read("a.nrrd", &big, "--iso 20"), false, solid);
+
+    let header = file("a.nhdr", format!("{NRRD}encoding: raw\ndata file: a.raw\n").as_bytes());
+    std::fs::write(header.0.path().join("a.raw"), &data).unwrap();
+    assert_volume(&open(&header.1, &opts("--iso 20")).unwrap(), false, solid);
+    std::fs::remove_file(header.0.path().join("a.raw")).unwrap();
+    assert!(open(&header.1, &opts("--iso 20")).is_err_and(|e| e.to_string().contains("a.raw: cannot open")));
+}
+
+#[test]
+fn nrrd_refuses_what_it_cannot_trust() {
+    let small = NRRD.replace("70 5 9", "3 2 2").replace("short", "uint8");
+    refuses_every_prefix("a.nrrd", format!("{small}encoding: raw\n\nabcdefghijkl").as_bytes(), "");
+    let gz = [format!("{small}encoding: gzip\n\n").as_bytes(), &gzip(b"abcdefghijkl")].concat();
+    refuses_every_prefix("a.nrrd", &gz, "");
+    survives_changed_bytes("a.nrrd", &gz, "");
+    let e = error("a.nrrd", format!("{small}encoding: bzip2\n\nabcdefghijkl").as_bytes(), "");
+    assert!(e.contains("\"bzip2\"") && e.contains("gzip"), "{e}");
+    for encoding in ["raw", "gzip"] {
+        let huge = small.replace("3 2 2", "1048576 1048576 1048576");
+        let e = error("a.nrrd", &[format!("{huge}encoding: {encoding}\n\n").as_bytes(), &gzip(b"abc")].concat(), "");
+        assert!(e.contains("expect 1152921504606846976"), "{e}");
+    }
+    let e = error("a.nrrd", format!("{}encoding: raw\n\nabc", small.replace("3 2 2", "3 1")).as_bytes(), "");
+    assert!(e.contains("2 sizes"), "{e}");
+    let e = error("a.nrrd", format!("{small}nonsense\n\nabc").as_bytes(), "");
+    assert!(e.contains(&format!("byte {}:", small.len())) && e.contains("nonsense"), "{e}");
+}
+
+fn nifti_file(dims: [u16; 3], datatype: i16, slope: [f32; 2], data: &[u8]) -> Vec<u8> {
+    let mut h = vec![0u8; 352];
+    let mut put = |at: usize, bytes: &[u8]| h[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &348i32.to_le_bytes());
+    let dim = [3, dims[0], dims[1], dims[2], 1, 1, 1, 1];
+    put(40, &bytes_of(dim.map(u16::to_le_bytes).to_vec()));
+    put(70, &datatype.to_le_bytes());
+    put(108, &352f32.to_le_bytes());
+    put(112, &bytes_of(slope.map(f32::to_le_bytes).to_vec()));
+    put(344, b"n+1\0");
+    h.extend_from_slice(data);
+    h
+}
+
+#[test]
+fn nifti_applies_slope_and_intercept_to_the_iso_value() {
+    let data = bytes_of(values(|v| (v as i16).to_le_bytes()));
+    let plain = nifti_file([70, 5, 9], 4, [0.0, 0.0], &data);
+    assert_volume(&read("a.nii", &plain, "--iso 20"), false, |x, y, z| value(x, y, z) >= 20);
+    let scaled = nifti_file([70, 5, 9], 4, [-2.0, 10.0], &data);
+    let solid = |x, y, z| 10 - 2 * value(x, y, z) >= 20;
+    assert_volume(&read("a.nii.gz", &gzip(&scaled), "--iso 20 --up z"), true, solid);
+    let e = error("a.nii", &scaled, "");
+    let high = 10 - 2 * values(|v| v).into_iter().min().unwrap();
+    assert!(e.contains(&format!("to {high};")), "{e}");
+}
+
+#[test]
+fn nifti_refuses_what_it_cannot_trust() {
+    let good = nifti_file([3, 2, 2], 2, [1.0, 0.0], b"abcdefghijkl");
+    refuses_every_prefix("a.nii", &good, "");
+    refuses_every_prefix("a.nii.gz", &gzip(&good), "");
+    survives_changed_bytes("a.nii", &good, "");
+    let e = error("a.nii", &nifti_file([32_767; 3], 64, [1.0, 0.0], b"abc"), "--iso 1");
+    assert!(e.contains("355 bytes") && e.contains("32767 × 32767 × 32767"), "{e}");
+    assert!(error("a.nii", &nifti_file([1, 1, 1], 128, [1.0, 0.0], b"abc"), "").contains("type 128"));
+}
+
+// Height maps.
+
+fn png(image: impl Into<image::DynamicImage>) -> Vec<u8> {
+    let mut out = std::io::Cursor::new(Vec::new());
+    image.into().write_to(&mut out, image::ImageFormat::Png).unwrap();
+    out.into_inner()
+}
+
+fn heights(input: &Input) -> Vec<Option<u16>> {
+    let c = &input.columns;
+    let column = |ix| {
+        let runs = &c.runs()[c.range(ix)];
+        assert!(runs.len() <= 1 && runs.iter().all(|r| r.first() == 0));
+        runs.first().map(|r| r.last())
+    };
+    (0..c.nx() as usize * c.nz() as usize).map(column).collect()
+}
+
+#[test]
+fn heightmap_columns_are_solid_up_to_the_scaled_value() {
+    let image = image::GrayImage::from_raw(3, 2, vec![0, 1, 2, 10, 20, 255]).unwrap();
+    let input = read("h.png", &png(image.clone()), "");
+    assert_eq!(input.columns.dims(), [3, 256, 2]);
+    assert_eq!(heights(&input), [0, 1, 2, 10, 20, 255].map(Some));
+    let input = read("h.png", &png(image), "--height-scale 0.25");
+    assert_eq!(heights(&input), [0, 0, 1, 3, 5, 64].map(Some));
+}
+
+#[test]
+fn heightmap_of_16_bits_fits_a_quarter_of_its_width_unless_scaled() {
+    let image =
+        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(8, 1, vec![0, 1, 2, 3, 100, 1000, 40_000, 65_535]).unwrap();
+    let input = read("h.png", &png(image.clone()), "");
+    assert_eq!(input.columns.dims(), [8, 3, 1]);
+    assert!(input.notes.iter().any(|n| n.contains("--height-scale")), "{:?}", input.notes);
+    let input = read("h.png", &png(image.clone()), "--height-scale 1");
+    assert_eq!(heights(&input)[5..], [1000, 40_000, 65_535].map(Some));
+    let e = error("h.png", &png(image), "--height-scale 1.1");
+    assert!(e.contains("at most 65535") && e.contains("--height-scale"), "{e}");
+}
+
+#[test]
+fn heightmap_colours_are_those_of_the_nearest_pixel() {
+    let map = image::RgbImage::from_fn(4, 1, |x, _| image::Rgb([x as u8 * 10, 1, 2]));
+    let colors = file("c.png", &png(map));
+    let read_with = |image: image::GrayImage| {
+        let f = file("h.png", &png(image));
+        let o = ReadOptions { colors: Some(colors.1.clone()), ..ReadOptions::default() };
+        let Colors::Column(c) = open(&f.1, &o).unwrap().colors else { panic!("no colours") };
+        c.iter().map(|c: &Rgb| c[0]).collect::<Vec<_>>()
+    };
+    assert_eq!(read_with(image::GrayImage::new(4, 2)), [0, 10, 20, 30, 0, 10, 20, 30]);
+    assert_eq!(read_with(image::GrayImage::new(2, 1)), [10, 30]);
+    assert_eq!(read_with(image::GrayImage::new(8, 1)), [0, 0, 10, 10, 20, 20, 30, 30]);
+}
+
+/// A TIFF of `width × height` i16 values in tiles of 16 × 16, with further entries (tag, type, values).
+fn tiled_tiff(width: u16, height: u16, values: &[i16], extra: &[(u16, u16, Vec<u8>)]) -> Vec<u8> {
+    const SHORT: u16 = 3;
+    const LONG: u16 = 4;
+    let (across, down) = (width.div_ceil(16), height.div_ceil(16));
+    let mut out = b"II*\0\0\0\0\0".to_vec();
+    let mut offsets = Vec::new();
+    for tile in 0..across * down {
+        offsets.extend((out.len() as u32).to_le_bytes());
+        for i in 0..256u16 {
+            let (x, y) = (tile % across * 16 + i % 16, tile / across * 16 + i / 16);
+            let inside = x < width && y < height;
+            let v = if inside { values[usize::from(y) * usize::from(width) + usize::from(x)] } else { 12_345 };
+            out.extend(v.to_le_bytes());
+        }
+    }
+    let short = |tag: u16, v: u16| (tag, SHORT, v.to_le_bytes().to_vec());
+    let mut entries = vec![short(256, width), short(257, height), short(258, 16), short(259, 1), short(262, 1)];
+    entries.extend([short(277, 1), short(322, 16), short(323, 16)]);
+    entries.push((324, LONG, offsets));
+    entries.push((325, LONG, 512u32.to_le_bytes().repeat(usize::from(across * down))));
+    entries.push(short(339, 2));
+    entries.extend_from_slice(extra);
+    // Values longer than four bytes stand elsewhere.
+    let mut directory = (entries.len() as u16).to_le_bytes().to_vec();
+    for (tag, kind, bytes) in entries {
+        let size = [0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8][usize::from(kind)];
+        directory.extend([tag.to_le_bytes(), kind.to_le_bytes()].concat());
+        directory.extend((bytes.len() as u32 / size).to_le_bytes());
+        if bytes.len() <= 4 {
+            directory.extend([&bytes[..], &[0; 4][bytes.len()..]].concat());
+        } else {
+            directory.extend((out.len() as u32).to_le_bytes());
+            out.extend(bytes);
+        }
+    }
+    directory.extend([0; 4]);
+    let at = out.len() as u32;
+    out[4..8].copy_from_slice(&at.to_le_bytes());
+    out.extend(directory);
+    out
+}
+
+/// Geo tags: pixels of `side`, the upper left corner at (0, `top`), model type 1 (projected) or 2 (geographic).
+fn geo_tags(side: f64, top: f64, model: u16, more_keys: &[[u16; 4]]) -> Vec<(u16, u16, Vec<u8>)> {
+    let doubles = |v: &[f64]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let keys = [&[[1, 1, 0, 1 + more_keys.len() as u16], [1024, 0, 1, model]], more_keys].concat();
+    let keys = keys.iter().flatten().flat_map(|k| k.to_le_bytes()).collect();
+    vec![
+        (33_550, 12, doubles(&[side, side, 0.0])),
+        (33_922, 12, doubles(&[0.0, 0.0, 0.0, 0.0, top, 0.0])),
+        (34_735, 3, keys),
+    ]
+}
+
+#[test]
+fn geotiff_tiles_nodata_and_pixel_size_are_read() {
+    let values: Vec<i16> = (0..20 * 18).map(|i| if i == 27 { -32_768 } else { i * 3 }).collect();
+    let mut tags = geo_tags(30.0, 0.0, 1, &[]);
+    tags.push((42_113, 2, b"-32768\0".to_vec()));
+    let input = read("h.tif", &tiled_tiff(20, 18, &values, &tags), "");
+    assert_eq!([input.columns.nx(), input.columns.nz()], [20, 18]);
+    let expected = |(i, &v): (usize, &i16)| (i != 27).then(|| (f64::from(v) / 30.0).round() as u16);
+    assert_eq!(heights(&input), values.iter().enumerate().map(expected).collect::<Vec<_>>());
+    assert!(input.notes.iter().any(|n| n.contains("1 pixels without data")), "{:?}", input.notes);
+}
+
+#[test]
+fn geotiff_degrees_become_metres_at_the_centre() {
+    // Half a width of the equator's at 60 degrees north.
+    let side = 1.0 / 111_320.0;
+    let values = vec![1000; 4];
+    let input = read("h.tif", &tiled_tiff(2, 2, &values, &geo_tags(side, 60.0 + side, 2, &[])), "");
+    assert_eq!(heights(&input), [Some(2000); 4]);
+    // Feet up, metres across.
+    let feet = geo_tags(1.0, 0.0, 1, &[[4099, 0, 1, 9002]]);
+    assert_eq!(heights(&read("h.tif", &tiled_tiff(2, 2, &values, &feet), "")), [Some(305); 4]);
+}
+
+#[test]
+fn heightmap_below_zero_is_lifted() {
+    let input = read("h.tif", &tiled_tiff(2, 1, &[-5, 7], &geo_tags(1.0, 0.0, 1, &[])), "");
+    assert_eq!(heights(&input), [0, 12].map(Some));
+    assert!(input.notes.iter().any(|n| n.contains("lifted by 5")), "{:?}", input.notes);
+}
+
+#[test]
+fn heightmap_refuses_damaged_images() {
+    let tiff = tiled_tiff(3, 2, &[1, 2, 3, 4, 5, 6], &geo_tags(1.0, 0.0, 1, &[]));
+    // The last four bytes point to a further image: none.
+    refuses_every_prefix_but(4, "h.tif", &tiff, "");
+    let (path, opts) = (Path::new("h.tif"), opts("--height-scale 0.001"));
+    for at in 520..tiff.len() {
+        for value in [0, 1, 0x7F, 0xFF] {
+            let mut bytes = tiff.clone();
+            bytes[at] = value;
+            if let Ok(input) = super::read(path, &bytes, &opts) {
+                assert_eq!(broken_promise(&input), None, "byte {at} = {value}");
+            }
+        }
+    }
+
+    let image = png(image::GrayImage::from_fn(9, 9, |x, y| image::Luma([(x * y * 7) as u8])));
+    // IEND and the checksum before it hold nothing that is needed.
+    refuses_every_prefix_but(16, "h.png", &image, "");
+    survives_changed_bytes("h.png", &image, "");
+    let mut huge = image;
+    huge[16..24].copy_from_slice(&[0x7F, 0xFF, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF, 0xFF]);
+    // The header's checksum is checked first or the size is: either way before memory is asked for.
+    error("h.png", &huge, "");
+}
+
+#[test]
+fn image_that_claims_more_pixels_than_its_bytes_can_hold_is_refused() {
+    // A whole header with its checksum, and no pixels.
+    let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\x7f\0\0\0\x7f\0\0\0\x08\0\0\0\0".to_vec();
+    let mut crc = flate2::Crc::new();
+    crc.update(&bytes[12..29]);
+    bytes.extend(crc.sum().to_be_bytes());
+    bytes.extend(b"\0\0\0\0IDAT\x35\xaf\x06\x1e");
+    let e = error("h.png", &bytes, "");
+    assert!(e.contains("cannot hold"), "{e}");
+}
+
+// Voxlap.
+
+/// A map with Voxlap's header, 2 × 2 columns.
+fn vxl_file(columns: [&[u8]; 4]) -> Vec<u8> {
+    let mut out = [vxl::MAGIC, 2, 2].map(u32::to_le_bytes).concat();
+    out.resize(108, 0);
+    out.extend(columns.concat());
+    out
+}
+
+/// Top colours 10 ..= 11, two bottom colours 18 ..= 19, air from 20, then ground from 30 with one colour.
+const BRIDGE: &[u8] = &[
+    5, 10, 11, 0, 1, 0, 0, 9, 2, 0, 0, 9, 3, 0, 0, 9, 4, 0, 0, 9, //
+    0, 30, 30, 20, 5, 6, 7, 9,
+];
+/// No top colours: E = S − 1.
+const BARE: &[u8] = &[0, 40, 39, 0];
+/// Solid to the top; E = 0.
+const FULL: &[u8] = &[0, 0, 0, 0, 1, 2, 3, 9];
+/// A span without top colours (N = 1) over air 50 ..= 59, then ground.
+const GAP: &[u8] = &[1, 45, 44, 0, 0, 60, 60, 50, 8, 8, 8, 9];
+
+#[test]
+fn vxl_spans_become_runs_with_y_up() {
+    let input = read("m.vxl", &vxl_file([BRIDGE, BARE, FULL, GAP]), "");
+    let c = &input.columns;
+    assert_eq!(c.dims(), [2, 256, 2]);
+    assert_eq!(c.column(0, 0), [Run::new(0, 225), Run::new(236, 245)]);
+    assert_eq!(c.column(1, 0), [Run::new(0, 215)]);
+    assert_eq!(c.column(0, 1), [Run::new(0, 255)]);
+    assert_eq!(c.column(1, 1), [Run::new(0, 195), Run::new(206, 210)]);
+    let Colors::Voxel { offsets, entries } = &input.colors else { panic!("no colours") };
+    assert_eq!(offsets, &[0, 5, 5, 6, 7]);
+    // Bytes are B, G, R; z 30 is y 225.
+    let bridge = [(225, [7, 6, 5]), (236, [0, 0, 4]), (237, [0, 0, 3]), (244, [0, 0, 2]), (245, [0, 0, 1])];
+    assert_eq!(entries[..5], bridge);
+}
+
+#[test]
+fn vxl_without_header_is_512_wide_and_as_deep_as_it_needs() {
+    let plain = [0, 62, 62, 0, 1, 2, 3, 4].repeat(512 * 512);
+    assert_eq!(read("m.vxl", &plain, "").columns.dims(), [512, 64, 512]);
+    let mut deep = plain.clone();
+    deep[1..3].copy_from_slice(&[64, 64]);
+    let input = read("m.vxl", &deep, "");
+    assert_eq!(input.columns.dims(), [512, 256, 512]);
+    assert_eq!(input.columns.column(0, 0), [Run::new(0, 191)]);
+    let e = error("m.vxl", &[plain.clone(), vec![0]].concat(), "");
+    assert!(e.contains("byte 2097152") && e.contains("2097153 bytes"), "{e}");
+    let e = error("m.vxl", &plain[..plain.len() - 1], "");
+    assert!(e.contains("byte 2097144, column (511, 511)"), "{e}");
+}
+
+#[test]
+fn vxl_refuses_spans_that_do_not_ascend() {
+    let good = vxl_file([BRIDGE, BARE, FULL, GAP]);
+    refuses_every_prefix("m.vxl", &good, "");
+    survives_changed_bytes("m.vxl", &good, "");
+    let with = |at: usize, value: u8| {
+        let mut column = BRIDGE.to_vec();
+        column[at] = value;
+        error("m.vxl", &vxl_file([&column, BARE, FULL, GAP]), "")
+    };
+    let e = with(23, 13);
+    assert!(e.contains("byte 128, column (0, 0)") && e.contains("start at 14"), "{e}");
+    assert!(with(23, 31).contains("end at S"));
+    assert!(with(2, 5).contains("E is above"));
+    assert!(with(0, 2).contains("N leaves no room"));
+    let mut huge = good;
+    huge[4..12].fill(0xFF);
+    let e = error("m.vxl", &huge, "");
+    assert!(e.contains("4294967295 × 4294967295 columns"), "{e}");
+}
+
+// MagicaVoxel.
+
+fn chunk(id: &str, content: &[u8]) -> Vec<u8> {
+    [id.as_bytes(), &(content.len() as u32).to_le_bytes(), &[0; 4], content].concat()
+}
+
+fn vox_file(chunks: &[Vec<u8>]) -> Vec<u8> {
+    let children = chunks.concat();
+    [&b"VOX \x96\0\0\0MAIN\0\0\0\0"[..], &(children.len() as u32).to_le_bytes(), &children].concat()
+}
+
+fn words(w: &[u32]) -> Vec<u8> {
+    w.iter().flat_map(|w| w.to_le_bytes()).collect()
+}
+
+fn model(size: [u32; 3], voxels: &[[u8; 4]]) -> Vec<u8> {
+    let xyzi = [words(&[voxels.len() as u32]), voxels.concat()].concat();
+    [chunk("SIZE", &words(&size)), chunk("XYZI", &xyzi)].concat()
+}
+
+fn dict(pairs: &[(&str, &str)]) -> Vec<u8> {
+    let text = |s: &str| [words(&[s.len() as u32]), s.as_bytes().to_vec()].concat();
+    let pairs = pairs.iter().map(|(k, v)| [text(k), text(v)].concat()).collect::<Vec<_>>();
+    [words(&[pairs.len() as u32]), pairs.concat()].concat()
+}
+
+fn transform(id: u32, child: u32, layer: u32, attributes: &[(&str, &str)], frame: &[(&str, &str)]) -> Vec<u8> {
+    chunk("nTRN", &[words(&[id]), dict(attributes), words(&[child, u32::MAX, layer, 1]), dict(frame)].concat())
+}
+
+fn group(id: u32, children: &[u32]) -> Vec<u8> {
+    chunk("nGRP", &[words(&[id]), dict(&[]), words(&[children.len() as u32]), words(children)].concat())
+}
+
+fn shape(id: u32, model: u32) -> Vec<u8> {
+    chunk("nSHP", &[words(&[id]), dict(&[]), words(&[1, model]), dict(&[])].concat())
+}
+
+/// Voxels of an input in MagicaVoxel's axes, relative to the low corner, with colours.
+fn cells(input: &Input) -> Vec<([u32; 3], Rgb)> {
+    let c = &input.columns;
+    let Colors::Voxel { offsets, entries } = &input.colors else { panic!("no colours") };
+    let mut out = Vec::new();
+    for (ix, w) in offsets.windows(2).enumerate() {
+        let (x, z) = (ix as u32 % c.nx(), ix as u32 / c.nx());
+        out.extend(entries[w[0] as usize..w[1] as usize].iter().map(|&(y, c1)| ([x, c.nz() - 1 - z, y.into()], c1)));
+    }
+    assert_eq!(out.len() as u64, c.voxels());
+    out.sort();
+    out
+}
+
+/// Red, green, blue at palette entries 1 to 3.
+fn palette() -> Vec<u8> {
+    let mut p = vec![0u8; 1024];
+    p[..12].copy_from_slice(&[255, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 255]);
+    chunk("RGBA", &p)
+}
+
+const R: Rgb = [255, 0, 0];
+const G: Rgb = [0, 255, 0];
+const B: Rgb = [0, 0, 255];
+
+#[test]
+fn vox_model_stands_on_its_z_axis() {
+    let bytes = vox_file(&[model([4, 3, 2], &[[0, 0, 0, 1], [3, 0, 0, 2], [0, 2, 1, 3]]), palette()]);
+    let input = read("m.vox", &bytes, "");
+    assert_eq!(input.columns.dims(), [4, 2, 3]);
+    assert_eq!(cells(&input), [([0, 0, 0], R), ([0, 2, 1], B), ([3, 0, 0], G)]);
+    // Input (0, 0, 0) is world (0, 0, Y−1).
+    assert!(input.columns.solid(0, 0, 2) && input.columns.solid(0, 1, 0));
+    let two = [model([1, 1, 1], &[[0, 0, 0, 1]]), model([2, 2, 2], &[]), palette()];
+    let input = read("m.vox", &vox_file(&two), "");
+    assert_eq!(input.columns.dims(), [1, 1, 1]);
+    assert!(input.notes.iter().any(|n| n.contains("2 models without a scene graph")), "{:?}", input.notes);
+}
+
+/// A scene of one 4 × 3 × 2 model with voxels at (0,0,0), (3,0,0), (0,2,1), and a marker at the origin.
+fn scene(frame: &[(&str, &str)]) -> Vec<(i64, i64, i64)> {
+    let bytes = vox_file(&[
+        model([4, 3, 2], &[[0, 0, 0, 1], [3, 0, 0, 1], [0, 2, 1, 1]]),
+        model([17, 17, 17], &[[8, 8, 8, 3]]),
+        transform(0, 1, u32::MAX, &[], &[]),
+        group(1, &[2, 4]),
+        transform(2, 3, 0, &[], frame),
+        shape(3, 0),
+        transform(4, 5, 0, &[], &[]),
+        shape(5, 1),
+        palette(),
+    ]);
+    let input = read("m.vox", &bytes, "");
+    let cells = cells(&input);
+    let origin = cells.iter().find(|c| c.1 == B).unwrap().0;
+    let relative = |p: [u32; 3]| [0, 1, 2].map(|i| i64::from(p[i]) - i64::from(origin[i]));
+    cells.iter().filter(|c| c.1 == R).map(|c| relative(c.0).into()).collect()
+}
+
+#[test]
+fn vox_models_turn_about_half_their_size_rounded_down() {
+    assert_eq!(scene(&[]), [(-2, -1, -1), (-2, 1, 0), (1, -1, -1)]);
+    assert_eq!(scene(&[("_t", "1 -2 3")]), [(-1, -3, 2), (-1, -1, 3), (2, -3, 2)]);
+    // 17: rows (0 1 0), (−1 0 0), (0 0 1) have bits 1, 0 << 2 and sign of row 1.
+    assert_eq!(scene(&[("_r", "33")]), [(-1, -2, -1), (-1, 1, -1), (1, 1, 0)]);
+    // x mirrored: cell −2 goes to 1.
+    assert_eq!(scene(&[("_r", "20")]), [(-2, -1, -1), (1, -1, -1), (1, 1, 0)]);
+}
+
+#[test]
+fn vox_rotations_compose_through_groups() {
+    // A quarter turn twice is a half turn: x and y both mirrored.
+    let file = |inner: &str, outer: &str| {
+        vox_file(&[
+            model([4, 3, 2], &[[0, 0, 0, 1], [3, 0, 0, 2], [0, 2, 1, 3]]),
+            transform(0, 1, u32::MAX, &[], &[("_r", outer), ("_t", "5 6 7")]),
+            group(1, &[2]),
+            transform(2, 3, 0, &[], &[("_r", inner), ("_t", "1 0 0")]),
+            shape(3, 0),
+            palette(),
+        ])
+    };
+    assert_eq!(cells(&read("m.vox", &file("33", "33"), "")), cells(&read("m.vox", &file("52", "4"), "")));
+    assert_ne!(cells(&read("m.vox", &file("33", "33"), "")), cells(&read("m.vox", &file("4", "4"), "")));
+}
+
+#[test]
+fn vox_hidden_nodes_and_layers_are_left_out_and_later_instances_show() {
+    let layer =
+        |id: u32, pairs: &[(&str, &str)]| chunk("LAYR", &[words(&[id]), dict(pairs), words(&[u32::MAX])].concat());
+    let bytes = vox_file(&[
+        model([1, 1, 1], &[[0, 0, 0, 1]]),
+        model([1, 1, 1], &[[0, 0, 0, 2]]),
+        model([1, 1, 1], &[[0, 0, 0, 3]]),
+        // Numbers need not follow the order in the file.
+        layer(7, &[("_hidden", "1")]),
+        layer(0, &[]),
+        shape(9, 0),
+        transform(0, 1, u32::MAX, &[], &[]),
+        group(1, &[2, 4, 6, 8]),
+        transform(2, 9, 0, &[], &[]),
+        transform(4, 5, 0, &[("_hidden", "1")], &[("_t", "5 0 0")]),
+        shape(5, 2),
+        transform(6, 5, 7, &[], &[("_t", "0 5 0")]),
+        transform(8, 10, 0, &[], &[]),
+        shape(10, 1),
+        palette(),
+    ]);
+    assert_eq!(cells(&read("m.vox", &bytes, "")), [([0, 0, 0], G)]);
+}
+
+#[test]
+fn vox_refuses_damaged_files_and_scenes_without_end() {
+    let cube = model([2, 2, 2], &[[0, 0, 0, 1], [1, 1, 1, 2]]);
+    let good = vox_file(&[
+        cube.clone(),
+        transform(0, 1, u32::MAX, &[], &[]),
+        group(1, &[2]),
+        transform(2, 3, 0, &[], &[("_r", "40"), ("_t", "-3 4 5")]),
+        shape(3, 0),
+        palette(),
+    ]);
+    refuses_every_prefix("m.vox", &good, "");
+    survives_changed_bytes("m.vox", &good, "");
+    let e = |chunks: &[Vec<u8>]| error("m.vox", &vox_file(chunks), "");
+    assert!(e(&[]).contains("no visible model"));
+    assert!(e(&[model([2, 2, 2], &[[0, 2, 0, 1]])]).contains("outside its size"));
+    assert!(e(&[model([u32::MAX, 1, 1], &[])]).contains("1 to 256"));
+    assert!(e(&[cube.clone(), transform(0, 0, 0, &[], &[])]).contains("inside itself"));
+    assert!(e(&[cube.clone(), transform(0, 8, 0, &[], &[])]).contains("node 8 is named"));
+    assert!(e(&[cube.clone(), transform(0, 1, 0, &[], &[]), shape(1, 3)]).contains("shows model 3"));
+    assert!(e(&[cube.clone(), transform(0, 1, 0, &[], &[("_r", "5")]), shape(1, 0)]).contains("malformed"));
+    assert!(e(&[cube.clone(), shape(0, 0), shape(0, 0)]).contains("repeats the number"));
+    assert!(e(&[chunk("SIZE", &words(&[1, 1, 1])), chunk("XYZI", &words(&[u32::MAX]))]).contains("XYZI"));
+    let far = [("_t", "2000000000 2000000000 0")];
+    let scene = [transform(0, 1, 0, &[], &[]), group(1, &[2, 3]), transform(2, 3, 0, &[], &far), shape(3, 0)];
+    assert!(e(&[&[cube.clone()][..], &scene].concat()).contains("columns"));
+    // Thirty groups, each showing the next twice: a billion instances.
+    let mut bomb = vec![cube, shape(30, 0)];
+    bomb.extend((0..30).map(|i| group(i, &[i + 1, i + 1])));
+    assert!(e(&bomb).contains("more than 1048576 nodes"));
+    let mut nested = chunk("JUNK", &[]);
+    for _ in 0..50_000 {
+        nested = [&b"JUNK\0\0\0\0"[..], &(nested.len() as u32).to_le_bytes(), &nested].concat();
+        if nested.len() > 4000 {
+            break;
+        }
+    }
+    assert!(e(&[nested]).contains("only MAIN may"));
+}
+
+// Kinds.
+
+#[test]
+fn kind_is_found_from_the_content_then_the_name() {
+    let png = png(image::GrayImage::new(2, 2));
+    assert_eq!(detect(Path::new("volume.raw"), &png).unwrap(), Format::Heightmap);
+    assert_eq!(detect(Path::new("x"), b"NRRD0005\n").unwrap(), Format::Nrrd);
+    assert_eq!(detect(Path::new("x"), b"VOX \x96\0\0\0").unwrap(), Format::Vox);
+    assert_eq!(detect(Path::new("x"), &vxl::MAGIC.to_le_bytes()).unwrap(), Format::Vxl);
+    assert_eq!(detect(Path::new("Map.VXL"), &[0; 64]).unwrap(), Format::Vxl);
+    let nii = nifti_file([1, 1, 1], 2, [0.0; 2], &[1]);
+    assert_eq!(detect(Path::new("x"), &nii).unwrap(), Format::Nifti);
+    assert_eq!(detect(Path::new("x"), &gzip(&nii)).unwrap(), Format::Nifti);
+    for (name, says) in [("a.raw", "--dims"), ("a.vox", "Slab6"), ("a.pcast", "already"), ("a.xyz", "supported: raw")] {
+        let e = detect(Path::new(name), &[7; 64]).unwrap_err().to_string();
+        assert!(e.contains(says), "{e}");
+    }
+    assert!(detect(Path::new("a.xyz"), &gzip(b"something else")).is_err());
+    assert!(detect(Path::new("a.xyz"), b"").unwrap_err().to_string().contains("empty"));
+}
+
+#[test]
+fn kind_given_overrides_and_flags_without_use_are_noted() {
+    let png = png(image::GrayImage::new(2, 2));
+    let dims = format!("--format raw --dims {},1,1", png.len());
+    assert_eq!(read("h.png", &png, &dims).columns.nx() as usize, png.len());
+    let input = read("h.png", &png, "--up z --iso 3");
+    assert!(input.notes.iter().any(|n| n.starts_with("--up is not used")), "{:?}", input.notes);
+    assert!(error("h.png", &png, "--format vox").contains("expected \"VOX \""));
+    for format in Format::value_variants() {
+        let name = format.to_possible_value().unwrap().get_name().to_owned();
+        if *format != Format::Raw {
+            error("x", &[7; 300], &format!("--format {name}"));
+        }
+    }
+}
+
+#[test]
+fn a_folder_and_a_missing_file_are_errors() {
+    let dir = tempfile::tempdir().unwrap();
+    let fails = |p: &Path| open(p, &ReadOptions::default()).err().unwrap().to_string();
+    assert!(fails(dir.path()).contains("folder"));
+    assert!(fails(&dir.path().join("none.png")).contains("cannot open"));
+}
+
+// Procedural scenes.
+
+fn fingerprint(c: &Columns) -> u64 {
+    let mut h = xxhash_rust::xxh3::Xxh3::new();
+    h.update(bytemuck::cast_slice(&c.dims()));
+    h.update(bytemuck::cast_slice(c.offsets()));
+    h.update(bytemuck::cast_slice(c.runs()));
+    h.digest()
+}
+
+#[test]
+fn procedural_scenes_keep_their_promises_at_any_size() {
+    for kind in Kind::value_variants() {
+        for size in [1, 2, 7, 27, 81] {
+            match procedural(*kind, size, 3) {
+                Ok(input) => {
+                    assert_eq!(broken_promise(&input), None, "{kind:?} {size}");
+                    assert_eq!([input.columns.nx(), input.columns.nz()], [size; 2]);
+                    let Colors::Function(color) = &input.colors else { panic!("{kind:?} has no colours") };
+                    let top = input.columns.column(0, 0).last().map_or(0, |r| r.last().into());
+                    color(0, top, 0);
+                }
+                Err(e) => assert!(*kind == Kind::Menger && [2, 7].contains(&size), "{kind:?} {size}: {e}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn procedural_scenes_depend_on_the_seed_and_nothing_else() {
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing, Kind::Shapes] {
+        let a = procedural(kind, 64, 5).unwrap().columns;
+        assert_eq!(a, one_thread.install(|| procedural(kind, 64, 5)).unwrap().columns, "{kind:?}");
+        assert_ne!(a, procedural(kind, 64, 6).unwrap().columns, "{kind:?}");
+        assert_ne!(a, procedural(kind, 64, 5 + (1 << 32)).unwrap().columns, "{kind:?}: high half of the seed");
+    }
+}
+
+#[test]
+fn procedural_scenes_tile() {
+    // Across the seam neighbouring columns differ about as much as anywhere else; a scene shifted against itself
+    // (the planted fault) differs far more.
+    for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing] {
+        let c = procedural(kind, 128, 1).unwrap().columns;
+        let differ = |a: &[Run], b: &[Run]| {
+            let column = |runs: &[Run]| {
+                (0..c.ny()).map(|y| runs.iter().any(|r| (r.first().into()..r.end()).contains(&y))).collect::<Vec<_>>()
+            };
+            column(a).iter().zip(column(b)).filter(|(a, b)| **a != *b).count()
+        };
+        let step = |x0: u32, x1: u32| (0..128).map(|z| differ(c.column(x0, z), c.column(x1, z))).sum::<usize>();
+        let step_z = |z0: u32, z1: u32| (0..128).map(|x| differ(c.column(x, z0), c.column(x, z1))).sum::<usize>();
+        let largest = (0..127).map(|i| step(i, i + 1).max(step_z(i, i + 1))).max().unwrap();
+        assert!(step(127, 0) <= largest && step_z(127, 0) <= largest, "{kind:?}: {} over {largest}", step(127, 0));
+        assert!(step(127, 64) > largest, "{kind:?}: the check sees nothing");
+    }
+}
+
+#[test]
+fn procedural_landscapes_have_what_height_maps_cannot_hold() {
+    let c = procedural(Kind::Terrain, 256, 1).unwrap().columns;
+    let several = c.offsets().windows(2).filter(|w| w[1] - w[0] > 1).count();
+    assert!(several * 10 > 256 * 256, "{several} columns of several runs");
+    // Nothing falls out of the world.
+    assert!((0..256 * 256).all(|ix| c.runs()[c.range(ix)][0].first() == 0));
+}
+
+#[test]
+fn menger_sponge_has_20_to_the_level_voxels_and_is_the_same_along_every_axis() {
+    for level in 0..=4 {
+        let c = from_name(&format!("menger?level={level}")).unwrap().columns;
+        assert_eq!(c.voxels(), 20u64.pow(level));
+    }
+    let c = from_name("menger?level=3").unwrap().columns;
+    for (x, y, z) in (0..27 * 27 * 27).map(|i| (i % 27, i / 27 % 27, i / 729)) {
+        let by_rule = (0..3).all(|p| [x, y, z].iter().filter(|&&v| v / 3i64.pow(p) % 3 == 1).count() < 2);
+        assert_eq!(c.solid(x, y, z), by_rule, "({x}, {y}, {z})");
+    }
+}
+
+#[test]
+fn procedural_scenes_are_the_same_on_every_machine() {
+    let prints =
+        [("terrain?size=64&seed=1", TERRAIN), ("mixing?size=64&seed=1", MIXING), ("shapes?size=64&seed=1", SHAPES)];
+    for (name, expected) in prints {
+        assert_eq!(fingerprint(&from_name(name).unwrap().columns), expected, "{name}");
+    }
+}
+
+/// Fingerprints made on x86-64; a change of a scene's look changes them.
+const TERRAIN: u64 = 0xAB51_51B5_C122_D8E7;
+const MIXING: u64 = 0x8DA8_4B09_2074_3400;
+const SHAPES: u64 = 0x5795_6F1B_8E09_CC93;
+
+#[test]
+fn procedural_names_are_checked() {
+    let e = |name: &str| from_name(name).err().unwrap().to_string();
+    assert!(e("hills").contains("there is no scene \"hills\""));
+    assert!(e("terrain?size=x").contains("size=x is not a whole number"));
+    assert!(e("terrain?level=3").contains("no parameter \"level\""));
+    assert!(e("terrain?size").contains("has no value"));
+    assert!(e("terrain?size=0").contains("from 1 to"));
+    assert!(e("menger?level=99").contains("from 1 to 2187"));
+    assert!(e("menger?size=28").contains("power of 3"));
+    let through_open = open(Path::new("procedural:menger?level=1"), &ReadOptions::default()).unwrap();
+    assert_eq!(through_open.columns.voxels(), 20);
+}

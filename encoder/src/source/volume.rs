@@ -97,7 +97,8 @@ pub(super) fn npy(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input
         "f8" => Dtype::F64,
         _ => return fail(text_at, &format!("values of type {descr:?}; expected integers, f4 or f8")),
     };
-    let shape: Result<Vec<u64>, _> = shape.split(',').map(str::trim).filter(|s| !s.is_empty()).map(str::parse).collect();
+    let shape: Result<Vec<u64>, _> =
+        shape.split(',').map(str::trim).filter(|s| !s.is_empty()).map(str::parse).collect();
     let Ok(&[z, y, x]) = shape.as_deref() else {
         return fail(text_at, "expected an array of three axes, shape (z, y, x)");
     };
@@ -158,10 +159,10 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
         if line.is_empty() {
             break at + len + 1;
         }
-        if at > 0 {
-            if let Err(what) = header.field(line) {
-                return fail(at, what);
-            }
+        if at > 0
+            && let Err(what) = header.field(line)
+        {
+            return fail(at, what);
         }
         at += len + 1;
     };
@@ -176,7 +177,10 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
         sizes.retain(|&n| n != 1);
     }
     let &[x, y, z] = sizes.as_slice() else {
-        return fail(0, format!("sizes {:?}: expected three axes, one value a voxel", header.sizes.unwrap_or_default()));
+        return fail(
+            0,
+            format!("sizes {:?}: expected three axes, one value a voxel", header.sizes.unwrap_or_default()),
+        );
     };
     let dims = [x, y, z];
     let expected = byte_len(path, dims, dtype)?;
@@ -209,7 +213,8 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
                 -1 => (data.len() as u64).checked_sub(expected).ok_or_else(|| short(data.len()))?,
                 n => n as u64,
             };
-            let end = skip.checked_add(expected).filter(|&e| e <= data.len() as u64).ok_or_else(|| short(data.len()))?;
+            let end =
+                skip.checked_add(expected).filter(|&e| e <= data.len() as u64).ok_or_else(|| short(data.len()))?;
             &data[skip as usize..end as usize]
         }
         "gzip" | "gz" => {
@@ -223,7 +228,10 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
         }
     };
     let mut notes = header.notes;
-    notes.push("NRRD axes are kept as stored: the first is x, the second y, the third z (--up z to stand on the third)".to_owned());
+    notes.push(
+        "NRRD axes are kept as stored: the first is x, the second y, the third z (--up z to stand on the third)"
+            .to_owned(),
+    );
     let big_endian = header.big_endian == Some(true);
     build(path, Volume { dims, dtype, big_endian, scale: None, bytes: values, notes }, opts)
 }
@@ -260,8 +268,13 @@ impl NrrdHeader {
                     "uint" | "unsigned int" | "uint32" | "uint32_t" => Dtype::U32,
                     "int" | "signed int" | "int32" | "int32_t" => Dtype::I32,
                     "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Dtype::U64,
-                    "longlong" | "long long" | "long long int" | "signed long long" | "signed long long int"
-                    | "int64" | "int64_t" => Dtype::I64,
+                    "longlong"
+                    | "long long"
+                    | "long long int"
+                    | "signed long long"
+                    | "signed long long int"
+                    | "int64"
+                    | "int64_t" => Dtype::I64,
                     "float" => Dtype::F32,
                     "double" => Dtype::F64,
                     _ => return Err(format!("{}; expected an integer type, float or double", bad())),
@@ -290,7 +303,9 @@ impl NrrdHeader {
             "byte skip" | "byteskip" => {
                 self.byte_skip = value.parse().ok().filter(|&n| n >= -1).ok_or_else(bad)?;
             }
-            "spacings" | "space directions" => self.notes.push(format!("{}: {value}; voxels are drawn as cubes", name.trim())),
+            "spacings" | "space directions" => {
+                self.notes.push(format!("{}: {value}; voxels are drawn as cubes", name.trim()))
+            }
             // Further fields say nothing about where the values are.
             _ => {}
         }
@@ -307,7 +322,9 @@ pub(super) fn nifti(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inp
         nifti::NiftiHeader::from_reader(&*head).map_err(|e| Error::format(path, format!("NIfTI header: {e}")))
     })?;
     if &header.magic != nifti::header::MAGIC_CODE_NIP1 {
-        return fail("byte 344: the header's values are in a second file (.hdr/.img); convert it to one .nii".to_owned());
+        return fail(
+            "byte 344: the header's values are in a second file (.hdr/.img); convert it to one .nii".to_owned(),
+        );
     }
     let rank = header.dim[0] as usize;
     if !(1..=7).contains(&rank) {

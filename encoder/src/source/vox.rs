@@ -94,7 +94,10 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
     let mut notes = Vec::new();
     let instances = if data.scenes.is_empty() {
         if data.models.len() > 1 {
-            notes.push(format!("{} models without a scene graph (frames of an animation): the first is read", data.models.len()));
+            notes.push(format!(
+                "{} models without a scene graph (frames of an animation): the first is read",
+                data.models.len()
+            ));
         }
         vec![Instance { model: 0, place: Transform::IDENTITY }]
     } else {
@@ -158,7 +161,8 @@ impl Chunks {
             let repeated = match (id, first()) {
                 (b"SIZE", _) => {
                     size_seen = true;
-                    let fits = content == 12 && (0..3).all(|i| word(here + 12 + 4 * i).is_some_and(|n| (1..=MODEL_SIDE).contains(&n)));
+                    let fits = content == 12
+                        && (0..3).all(|i| word(here + 12 + 4 * i).is_some_and(|n| (1..=MODEL_SIDE).contains(&n)));
                     if !fits {
                         return fail(here + 12, format!("chunk SIZE must be three sizes of 1 to {MODEL_SIDE}"));
                     }
@@ -166,14 +170,19 @@ impl Chunks {
                 }
                 (b"XYZI", n) => {
                     if !size_seen || n.is_none_or(|n| u64::from(content) != 4 + 4 * u64::from(n)) {
-                        return fail(here + 12, "chunk XYZI must follow SIZE and hold as many voxels as it says".to_owned());
+                        return fail(
+                            here + 12,
+                            "chunk XYZI must follow SIZE and hold as many voxels as it says".to_owned(),
+                        );
                     }
                     out.n_models += 1;
                     false
                 }
                 (b"nTRN" | b"nGRP" | b"nSHP", Some(n)) => out.nodes.insert(n, out.nodes.len()).is_some(),
                 (b"LAYR", Some(n)) => out.layers.insert(n, out.layers.len()).is_some(),
-                (b"nTRN" | b"nGRP" | b"nSHP" | b"LAYR", None) => return fail(here, format!("chunk {name} has no number")),
+                (b"nTRN" | b"nGRP" | b"nSHP" | b"LAYR", None) => {
+                    return fail(here, format!("chunk {name} has no number"));
+                }
                 _ => false,
             };
             if repeated {
@@ -204,7 +213,10 @@ impl Graph<'_> {
         while let Some((number, above, depth)) = stack.pop() {
             visits += 1;
             if visits > MAX_VISITS {
-                return Err(Error::Limit(format!("{}: the scene has more than {MAX_VISITS} nodes", self.path.display())));
+                return Err(Error::Limit(format!(
+                    "{}: the scene has more than {MAX_VISITS} nodes",
+                    self.path.display()
+                )));
             }
             if depth > self.data.scenes.len() {
                 return fail(format!("scene node {number} is inside itself"));
@@ -283,7 +295,10 @@ fn place(path: &Path, data: &DotVoxData, instances: &[Instance], notes: Vec<Stri
         }
     }
     if n_voxels > MAX_VOXELS {
-        return Err(Error::Limit(format!("{}: {n_voxels} voxels in all instances, at most {MAX_VOXELS}", path.display())));
+        return Err(Error::Limit(format!(
+            "{}: {n_voxels} voxels in all instances, at most {MAX_VOXELS}",
+            path.display()
+        )));
     }
     let [x, y, z] = [0, 1, 2].map(|i| (high[i] - low[i] + 1) as u64);
     let dims = world_dims(path, [x, z, y], "the models lie too far apart")?;

@@ -49,7 +49,11 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
     if claimed == 0 || claimed > (bytes.len() as u64 - start as u64) / 4 {
         return Err(Error::format(
             path,
-            format!("{} bytes; a map of {nx} × {nz} columns needs at least {}", bytes.len(), claimed * 4 + start as u64),
+            format!(
+                "{} bytes; a map of {nx} × {nz} columns needs at least {}",
+                bytes.len(),
+                claimed * 4 + start as u64
+            ),
         ));
     }
 
@@ -111,7 +115,10 @@ fn walk_column(bytes: &[u8], mut at: usize, spans: &mut Vec<Span>) -> Result<usi
     spans.clear();
     loop {
         let Some(&[n, s, e, a]) = bytes.get(at..at + 4) else {
-            return Err((at, "the file ends inside a column; it is cut off, or has other sides than assumed".to_owned()));
+            return Err((
+                at,
+                "the file ends inside a column; it is cut off, or has other sides than assumed".to_owned(),
+            ));
         };
         // Files say "no top colours" as E = S − 1, in bytes: S = 0 gives E = 255. Only in a last span (N = 0) can that
         // be 256 colours as well, and then it is.

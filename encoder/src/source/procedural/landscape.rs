@@ -28,7 +28,7 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     let rugged = style == Style::Terrain;
 
     // Down to detail of two voxels.
-    let n_fine = (high * 2.0).log2_floor();
+    let n_fine = (ny * 2).ilog2();
     let hills = octaves(1, high * 1.5, n_fine, if rugged { 0.48 } else { 0.42 }, 1.0);
     let ridges = octaves(2, high * 1.2, 4, 0.5, 1.0);
     let regions = octaves(3, high * 2.5, 2, 0.5, 1.0);
@@ -37,7 +37,8 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
         let region = (0.5 + 1.2 * regions.at(p)).clamp(0.0, 1.0);
         let ridge = 1.0 - 2.0 * ridges.at(p).abs();
         let ridge = ridge.max(0.0) * ridge.max(0.0);
-        high * (0.24 + 0.26 * hills.at(p) + 0.30 * region * region * ridge)
+        let relief = if rugged { 0.55 } else { 0.34 };
+        (high * (0.21 + relief * hills.at(p) + 0.42 * region * region * ridge)).clamp(0.03 * high, 0.64 * high)
     };
 
     // One field bends the ground into overhangs and, high above it, stands for the floating rocks.
@@ -50,7 +51,7 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     };
     let tunnels = [tunnel(5), tunnel(6)];
     let bend = if rugged { 0.22 * high } else { 0.0 };
-    let (rocks_at, rocks_from) = if rugged { (0.80, 0.30) } else { (0.76, 0.13) };
+    let (rocks_at, rocks_from) = if rugged { (0.80, 0.30) } else { (0.76, 0.15) };
 
     let columns = build_rows([size, ny, size], |z, columns| {
         let mut buffers: [Vec<f32>; 3] = Default::default();
@@ -91,17 +92,6 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     Ok(Input { columns, colors, notes: Vec::new() })
 }
 
-/// Whole part of a logarithm to base 2, without a maths library.
-trait Log2Floor {
-    fn log2_floor(self) -> u32;
-}
-
-impl Log2Floor for f32 {
-    fn log2_floor(self) -> u32 {
-        (self as u32).max(1).ilog2()
-    }
-}
-
 /// Grass, sand and snow where a run ends, earth below them, rock where it is steep or deep.
 fn color(columns: &Columns, x: u32, y: u32, z: u32) -> Rgb {
     const SAND: Rgb = [214, 196, 142];
@@ -116,24 +106,23 @@ fn color(columns: &Columns, x: u32, y: u32, z: u32) -> Rgb {
     let depth = columns.find(x, y, z).map_or(0, |ix| u32::from(columns.runs()[ix].last()) - y);
     // The neighbour columns tile like the scene does.
     let (nx, nz) = (columns.nx(), columns.nz());
-    let steep = [(1, 0), (nx - 1, 0), (0, 1), (0, nz - 1)].iter().any(|&(dx, dz)| {
-        columns.solid(((x + dx) % nx).into(), i64::from(y) + 3, ((z + dz) % nz).into())
-    });
+    let steep = [(1, 0), (nx - 1, 0), (0, 1), (0, nz - 1)]
+        .iter()
+        .any(|&(dx, dz)| columns.solid(((x + dx) % nx).into(), i64::from(y) + 3, ((z + dz) % nz).into()));
     let strata = blend(ROCK, WARM_ROCK, (hash(11, 0, y / 3, 0) >> 24) as f32 / 255.0);
-    let skin = if altitude < 0.13 {
-        SAND
-    } else if altitude < 0.42 {
-        blend(GRASS, DRY_GRASS, (altitude - 0.16) * 4.5)
-    } else if altitude < 0.50 {
-        blend(DRY_GRASS, SNOW, (altitude - 0.42) * 12.5)
+    let floating = altitude > 0.64;
+    let skin = if floating {
+        GRASS
+    } else if altitude < 0.13 {
+        blend(SAND, GRASS, (altitude - 0.11) * 50.0)
+    } else if altitude < 0.36 {
+        blend(GRASS, DRY_GRASS, (altitude - 0.16) * 5.0)
     } else {
-        SNOW
+        blend(DRY_GRASS, SNOW, (altitude - 0.38) * 12.5)
     };
-    let floating = altitude > 0.6;
     let c = match depth {
-        0 if !steep => skin,
-        0 | 1 if floating => blend(GRASS, skin, 0.3),
-        0..=3 if !steep => blend(EARTH, skin, 0.25),
+        0..=1 if !steep => skin,
+        2..=4 if !steep => blend(EARTH, skin, 0.25),
         _ => strata,
     };
     shade(c, grain * 2)

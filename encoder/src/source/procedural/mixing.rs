@@ -44,12 +44,12 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
     let swirl = [octaves(2, 1.0 / 14.0, 2, 0.5, 1.0), octaves(3, 1.0 / 14.0, 2, 0.5, 1.0)];
     let turbulence = octaves(4, 1.0 / 20.0, 3, 0.6, 1.0);
     let reach = side / 22.0;
-    let field = Field::new(size, low as f32..high as f32, side / 288.0, |[x, y, z]| {
+    let field = Field::new(size, low as f32..high as f32, (side / 288.0).max(1.0), |[x, y, z]| {
         let p = [x, y, z];
         let t = (y - middle) / half;
         // Sideways by less than a side, so adding one keeps coordinates positive.
         let moved = [x + side + reach * swirl[0].at(p), 0.5, z + side + reach * swirl[1].at(p)];
-        1.6 * pattern.at(moved) + 0.95 * turbulence.at(p) - threshold(t)
+        1.6 * pattern.at(moved) + 0.77 * turbulence.at(p) - threshold(t)
     });
     let columns = build_rows([size; 3], |z, columns| {
         let mut buffer = Vec::new();

@@ -39,8 +39,8 @@ impl Kind {
     }
 }
 
-/// Largest side of a procedural scene, in columns.
-pub const MAX_SIZE: u32 = 16_384;
+/// Largest side of a landscape, in columns: its noise takes about 3 GiB.
+pub const MAX_SIZE: u32 = 8192;
 
 const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, mixing, menger (level=L), shapes";
 
