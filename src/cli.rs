@@ -363,12 +363,12 @@ impl DrawArgs {
             Device::Exact => (Method::Exact, "exact"),
             Device::Cpu => (Method::Planes, "planes"),
             Device::Auto => {
-                eprintln!("drawing on the cpu: this planecast has no GPU kernels");
+                eprintln!("drawing on the cpu: this command does not use the GPU yet");
                 (Method::Planes, "planes")
             }
             Device::Gpu => {
                 return Err(Error::Device(
-                    "--device gpu: this planecast has no GPU kernels; use --device cpu or auto".into(),
+                    "--device gpu: this command does not use the GPU yet; use --device cpu or auto".into(),
                 ));
             }
         };
