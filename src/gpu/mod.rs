@@ -75,11 +75,19 @@ pub struct GpuOptions {
     pub lanes: Option<u32>,
     /// Frames that may be on their way at once between [`GpuRenderer::submit`] and [`GpuRenderer::collect`].
     pub in_flight: usize,
+    /// Bytes of workgroup memory to use at most, where the device has more. What does not fit goes to a storage buffer.
+    pub workgroup_memory: u32,
 }
 
 impl Default for GpuOptions {
     fn default() -> GpuOptions {
-        GpuOptions { kernel: Kernel::Workgroup, trusted: !cfg!(debug_assertions), lanes: None, in_flight: 3 }
+        GpuOptions {
+            kernel: Kernel::Workgroup,
+            trusted: !cfg!(debug_assertions),
+            lanes: None,
+            in_flight: 3,
+            workgroup_memory: u32::MAX,
+        }
     }
 }
 
@@ -350,7 +358,7 @@ impl Plan {
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.fans.iter().any(|f| f.n_planes > 0 && (f.spacing > 1.0 || f.readjusted.is_some()));
         let longest = setup.fans.iter().filter(|f| f.n_planes > 0).map(|f| f.n_samples).max().unwrap_or(0).max(1);
-        let memory = engine.limits.max_compute_workgroup_storage_size;
+        let memory = engine.limits.max_compute_workgroup_storage_size.min(gpu.workgroup_memory);
         let most = engine.limits.max_compute_invocations_per_workgroup;
         let mut plan = Plan {
             kernel: gpu.kernel,

@@ -79,6 +79,7 @@ pub fn compare(a: &Frame, b: &Frame) -> Difference {
     out
 }
 
+#[cfg(test)]
 mod tests {
     use super::*;
     use planecast::Stats;
