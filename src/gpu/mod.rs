@@ -77,6 +77,8 @@ pub struct GpuOptions {
     pub in_flight: usize,
     /// Bytes of workgroup memory to use at most, where the device has more. What does not fit goes to a storage buffer.
     pub workgroup_memory: u32,
+    /// Bytes of one binding of a scene table at most, where the device allows more. Longer tables are cut into several.
+    pub binding_size: u64,
 }
 
 impl Default for GpuOptions {
@@ -87,6 +89,7 @@ impl Default for GpuOptions {
             lanes: None,
             in_flight: 3,
             workgroup_memory: u32::MAX,
+            binding_size: u64::MAX,
         }
     }
 }
@@ -173,7 +176,7 @@ impl<'a> GpuRenderer<'a> {
             }
         }
         let engine = Engine::new(options.trusted)?;
-        let tables = GpuResident::new(&engine, resident)?;
+        let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("stages"),
@@ -188,6 +191,11 @@ impl<'a> GpuRenderer<'a> {
     /// The adapter's name, and its driver.
     pub fn device(&self) -> (&str, &str) {
         (&self.engine.name, &self.engine.driver)
+    }
+
+    /// Whether the adapter is a processor that plays GPU: the CPU's own stages are faster then.
+    pub fn is_software(&self) -> bool {
+        self.engine.software
     }
 
     /// Takes another kernel from the next frame on.

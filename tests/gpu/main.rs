@@ -105,6 +105,7 @@ fn planes_kernels_draw_what_the_cpu_draws() {
                 "coarse levels, repeated",
                 Options { lod: Some(4.0), repeat: Repeat { x: true, z: true }, view_distance: 2000.0, ..flat() },
             ),
+            ("40,000 voxels far", Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, ..flat() }),
             ("nearest plane", Options { remap: Remap::Nearest, ..flat() }),
             ("few planes, gap fill", Options { remap: Remap::Nearest, planes: Planes::Factor(0.4), ..flat() }),
             (
@@ -441,4 +442,50 @@ fn pictures_beyond_the_device_are_refused() {
     let lanes = GpuOptions { lanes: Some(33), ..GpuOptions::default() };
     assert!(GpuRenderer::new(&world.scene, &world.resident, lanes).is_err());
     assert!("warp".parse::<Kernel>().unwrap_err().to_string().contains("workgroup"));
+}
+
+#[test]
+fn scenes_beyond_a_binding_are_cut_into_several() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let repeat = Options { repeat: Repeat { x: true, z: true }, view_distance: 1500.0, ..flat() };
+    for kernel in Kernel::ALL {
+        let draw = |binding_size| {
+            let options = GpuOptions { binding_size, ..gpu_options(kernel) };
+            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options)?;
+            let frames = poses(&world).into_iter().map(|c| gpu.render(&c, &repeat, VOXEL).unwrap());
+            Ok::<_, planecast::Error>(frames.map(|f| (f.color, f.depth, f.voxel)).collect::<Vec<_>>())
+        };
+        // Columns, exposed runs and colours of all levels take some 200 KiB each: two to four bindings.
+        assert!(draw(128 << 10).unwrap() == draw(u64::MAX).unwrap(), "{}", kernel.name());
+        let error = draw(16 << 10).unwrap_err().to_string();
+        assert!(error.contains("bindings of 0 MiB") && error.contains("--device cpu"), "{error}");
+    }
+}
+
+#[test]
+fn absent_adapters_are_a_plain_error() {
+    if !gpu_wanted() {
+        return;
+    }
+    let child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["child_without_an_adapter", "--exact", "--ignored", "--nocapture"])
+        .env("WGPU_ADAPTER_NAME", "no such adapter")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&child.stdout).into_owned();
+    let line = text.lines().find(|l| l.contains("no usable GPU adapter")).unwrap_or_else(|| panic!("{text}"));
+    assert!(child.status.success() && line.contains("--device cpu"), "{line}");
+}
+
+#[test]
+#[ignore = "run by absent_adapters_are_a_plain_error"]
+fn child_without_an_adapter() {
+    let world = world(Kind::Menger, 9, Encoding::Solid, ColorMode::None);
+    match GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()) {
+        Ok(_) => panic!("an adapter of that name exists"),
+        Err(e) => println!("{e}"),
+    }
 }
