@@ -4,6 +4,7 @@ pub mod camera;
 pub mod cli;
 pub mod cpu;
 pub mod demo;
+pub mod device;
 pub mod error;
 pub mod exact;
 pub mod fly;
