@@ -7,7 +7,7 @@
 
 use criterion::{BenchmarkId, Criterion};
 use planecast::gpu::bench::{Entry, flythrough, poses};
-use planecast::{GpuOptions, GpuRenderer, Kernel, Options, Outputs, Repeat, Resident, StageTimes};
+use planecast::{Camera, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes};
 use planecast_encoder::source::procedural::from_name;
 use planecast_encoder::{BuildOptions, Scene, build};
 use std::time::Duration;
@@ -17,7 +17,8 @@ fn setting<T: std::str::FromStr>(name: &str, default: T) -> T {
 }
 
 fn scene(name: &str, size: u32) -> (Scene, Resident) {
-    let input = from_name(&format!("{name}?size={size}")).expect("a procedural scene");
+    let name = if name.contains('?') { name.into() } else { format!("{name}?size={size}") };
+    let input = from_name(&name).expect("a procedural scene");
     let scene = build(input, &BuildOptions::default()).expect("a scene");
     let resident = Resident::new(&scene);
     (scene, resident)
@@ -25,7 +26,23 @@ fn scene(name: &str, size: u32) -> (Scene, Resident) {
 
 /// The paper's view: repeated without end, 40,000 voxels far, levels at one pixel.
 fn options() -> Options {
-    Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, ..Options::default() }
+    let planes = Planes::Factor(setting("PLANECAST_BENCH_PLANES", 1.0));
+    Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, planes, ..Options::default() }
+}
+
+/// Every kernel, and `workgroup` with each number of lanes and with wgpu's runtime checks.
+const KERNELS: &str = "workgroup workgroup:32 workgroup:64 workgroup:128 workgroup:256 workgroup:checked raycast \
+                       invocation invocation:8";
+
+/// `KERNEL[:LANES|:checked]`.
+fn entry(text: &str) -> Entry {
+    let (kernel, rest) = text.split_once(':').unwrap_or((text, ""));
+    let kernel = kernel.parse().expect("a kernel's name");
+    match rest {
+        "" => Entry { kernel, lanes: None, trusted: true },
+        "checked" => Entry { kernel, lanes: None, trusted: false },
+        lanes => Entry { kernel, lanes: Some(lanes.parse().expect("a number of lanes")), trusted: true },
+    }
 }
 
 fn table(names: &[String]) {
@@ -34,17 +51,23 @@ fn table(names: &[String]) {
     let pixels = std::env::var("PLANECAST_BENCH_PIXELS").unwrap_or("1024x768".into());
     let (w, h) = pixels.split_once('x').expect("WxH");
     let (w, h) = (w.parse().expect("a width"), h.parse().expect("a height"));
-    let entry = |kernel, lanes| Entry { kernel, lanes, trusted: true };
-    let mut entries = vec![entry(Kernel::Raycast, None)];
-    entries.extend([8, 32].map(|n| entry(Kernel::Invocation, Some(n))));
-    entries.extend([32, 64, 128, 256].map(|n| entry(Kernel::Workgroup, Some(n))));
-    entries.push(Entry { kernel: Kernel::Workgroup, lanes: Some(128), trusted: false });
+    let kernels = std::env::var("PLANECAST_BENCH_KERNELS").unwrap_or(KERNELS.into());
+    let entries: Vec<Entry> = kernels.split_whitespace().map(entry).collect();
+    let pitches = std::env::var("PLANECAST_BENCH_PITCHES").unwrap_or_default();
+    let pitches: Vec<f64> = pitches.split_whitespace().map(|p| p.parse().expect("degrees")).collect();
     for name in names {
         let (scene, resident) = scene(name, size);
         let poses = poses(&resident, n, w, h);
-        match flythrough(&scene, &resident, &poses, &options(), &entries) {
-            Ok(table) => println!("{name} {size}: {table}"),
-            Err(e) => println!("{name} {size}: {e}"),
+        let fly = |what: &str, poses: &[Camera]| match flythrough(&scene, &resident, poses, &options(), &entries) {
+            Ok(table) => println!("{name}{what}: {table}"),
+            Err(e) => println!("{name}{what}: {e}"),
+        };
+        if pitches.is_empty() {
+            fly("", &poses);
+        }
+        for &pitch in &pitches {
+            let turned: Vec<_> = poses.iter().map(|&pose| Camera { pitch, roll: 0.0, ..pose }).collect();
+            fly(&format!(", pitch {pitch}"), &turned);
         }
     }
 }
