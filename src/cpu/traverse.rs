@@ -478,6 +478,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 if t0 >= next_level {
                     break;
                 }
+                // Rounding may let a step across the world's edge end before the walk does.
+                if (0..2).any(|axis| !setup.repeats[axis] && !(0..size[axis]).contains(&cell[axis])) {
+                    return;
+                }
                 // Nothing left can come into the window.
                 if (FAST || self.culling.coarse)
                     && ((self.s_lo > R::ZERO && self.s_lo * t0 >= top)
