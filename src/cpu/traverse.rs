@@ -615,7 +615,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         self.runs(level, l, column, top, more, t0, t1, lo, hi);
     }
 
-    /// Draws the runs of one column that may show between heights `lo` and `hi`, from the top down.
+    /// Draws the runs of one column that may show between heights `lo` and `hi`: nearest to the eye's height first, since
+    /// that is the order in which sight lines meet them. Down from the eye, then up from it.
     #[expect(clippy::too_many_arguments, reason = "what `column` knows already")]
     #[inline(always)]
     fn runs(
@@ -623,7 +624,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         level: &'a ResidentLevel,
         l: u32,
         column: usize,
-        mut run: Run,
+        top: Run,
         more: u32,
         t0: R,
         t1: R,
@@ -634,37 +635,63 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             0 => &[],
             at => &level.runs[at + 1..at + 1 + level.runs[at] as usize],
         };
-        let mut k = 0;
-        loop {
+        let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
+        let ends = |w: &Self, run: Run| (w.height(u32::from(run.first()) << l), w.height(run.end() << l));
+        // How many runs, from the top down, start above height `h`.
+        let starts_above = |w: &Self, h: R| {
+            if ends(w, top).0 <= h { 0 } else { 1 + rest.partition_point(|&r| ends(w, Run(r)).0 > h) }
+        };
+        let above = starts_above(self, R::ZERO);
+        let mut k = above;
+        if rest.len() > 8 && hi < R::ZERO {
+            // All above the window: binary search for the first run that reaches down into it.
+            k = k.max(starts_above(self, hi));
+        }
+        while k <= rest.len() {
             self.counters.runs_visited += 1;
-            let (h0, h1) = (self.height(u32::from(run.first()) << l), self.height(run.end() << l));
+            let run = run(k);
+            let (h0, h1) = ends(self, run);
             if h1 <= lo {
-                return;
+                break;
             }
-            if h0 < hi {
-                // Slopes of the run's ends: its highest and its lowest place in the window.
-                let inside = (FAST || self.culling.center)
-                    && self.center[1] > self.center[0]
-                    && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
-                    && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 };
-                if !inside {
-                    self.draw(level, l, t1, Drawn { run, k, column, h0, h1, t0 });
-                    if self.closed() {
-                        return;
-                    }
-                    (lo, hi) = self.visible(t0, t1);
+            if h0 < hi && !self.hidden(h0, h1, t0, t1) {
+                self.draw(level, l, t1, Drawn { run, k: k as u32, column, h0, h1, t0 });
+                if self.closed() {
+                    return;
                 }
-            } else if k == 0 && rest.len() > 8 {
-                // All above the window: binary search for the first run that reaches down into it.
-                let above = rest.partition_point(|&r| self.height(u32::from(Run(r).first()) << l) >= hi);
-                k = above as u32;
-            }
-            match rest.get(k as usize) {
-                Some(&r) => run = Run(r),
-                None => return,
+                (lo, hi) = self.visible(t0, t1);
             }
             k += 1;
         }
+        let mut k = above;
+        if above > 8 && lo > R::ZERO {
+            k = k.min(1 + rest.partition_point(|&r| ends(self, Run(r)).1 > lo));
+        }
+        while k > 0 {
+            k -= 1;
+            self.counters.runs_visited += 1;
+            let run = run(k);
+            let (h0, h1) = ends(self, run);
+            if h0 >= hi {
+                return;
+            }
+            if h1 > lo && !self.hidden(h0, h1, t0, t1) {
+                self.draw(level, l, t1, Drawn { run, k: k as u32, column, h0, h1, t0 });
+                if self.closed() {
+                    return;
+                }
+                (lo, hi) = self.visible(t0, t1);
+            }
+        }
+    }
+
+    /// Whether a run lies in the center segment: by the slopes of its highest and its lowest place in the window.
+    #[inline(always)]
+    fn hidden(&self, h0: R, h1: R, t0: R, t1: R) -> bool {
+        (FAST || self.culling.center)
+            && self.center[1] > self.center[0]
+            && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
+            && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 }
     }
 
     #[inline(always)]
