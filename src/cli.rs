@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
-use planecast_encoder::{Error as FileError, PcastFile, Scene};
+use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
 use serde_json::json;
 
 use crate::fly::{self, Film, Kind};
@@ -32,6 +32,7 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    Encode(planecast_encoder::cli::EncodeArgs),
     Decode(planecast_encoder::cli::DecodeArgs),
     Info(planecast_encoder::cli::InfoArgs),
     Query(planecast_encoder::cli::QueryArgs),
@@ -165,7 +166,7 @@ pub struct DrawArgs {
     #[arg(long, value_name = "N|auto|FACTOR%", value_parser = planes, default_value = "auto")]
     planes: Planes,
     /// Distance between planes: a pixel everywhere, or wider where planes would crowd
-    #[arg(long, value_enum, value_name = "SPACING", default_value = "full")]
+    #[arg(long, value_enum, value_name = "SPACING", default_value = "readjusted")]
     spacing: Spacing,
     /// Culling, for measuring: all, none, or some of horizon,center,forward,bits,coarse
     #[arg(long, value_name = "LIST", value_parser = culling, default_value = "all")]
@@ -362,12 +363,12 @@ impl DrawArgs {
             Device::Exact => (Method::Exact, "exact"),
             Device::Cpu => (Method::Planes, "planes"),
             Device::Auto => {
-                eprintln!("drawing on the cpu: this planecast has no GPU kernels");
+                eprintln!("drawing on the cpu: this command does not use the GPU yet");
                 (Method::Planes, "planes")
             }
             Device::Gpu => {
                 return Err(Error::Device(
-                    "--device gpu: this planecast has no GPU kernels; use --device cpu or auto".into(),
+                    "--device gpu: this command does not use the GPU yet; use --device cpu or auto".into(),
                 ));
             }
         };
@@ -478,7 +479,10 @@ impl FlyArgs {
         check_outputs(&outputs)?;
         let (method, options) = (self.draw.method()?, self.draw.options());
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
-        let scene = open_scene(&self.scene)?;
+        let file = PcastFile::open(&self.scene)?;
+        let content = info::info(&file)?.content_hash;
+        let scene = file.read_scene()?;
+        drop(file);
         let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));
         if let Some(file) = &self.save_path {
             output::write(file, |out| out.write_all(path.to_json().as_bytes()))?.finish()?;
@@ -497,8 +501,7 @@ impl FlyArgs {
             fps: self.fps,
             resume: self.resume,
             source: json!({
-                "scene": std::fs::metadata(&self.scene).map_err(|e| FileError::io(&self.scene, "read", e))?.len(),
-                "dims": scene.dims(),
+                "scene": content,
                 "method": format!("{method:?}"),
                 "options": format!("{options:?}"),
             }),
@@ -563,6 +566,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         }
     };
     exit(match cli.command {
+        Command::Encode(args) => args.run().map_err(Error::from),
         Command::Decode(args) => args.run().map_err(Error::from),
         Command::Info(args) => args.run().map_err(Error::from),
         Command::Query(args) => args.run().map_err(Error::from),

@@ -79,7 +79,7 @@ pub fn parts_folder(output: &Path) -> PathBuf {
 
 /// One part's pictures on their way to be saved.
 enum Work {
-    Png(Frame),
+    Png(Box<Frame>),
     Segment(Vec<Yuv>),
 }
 
@@ -172,7 +172,7 @@ pub fn fly(film: &Film, draw: &mut dyn FnMut(&Camera) -> Result<Frame>) -> Resul
                     Ok(mut frame) => {
                         stats = Some(std::mem::take(&mut frame.stats));
                         match kind {
-                            Kind::Folder => _ = sender.send((i, Work::Png(frame))),
+                            Kind::Folder => _ = sender.send((i, Work::Png(Box::new(frame)))),
                             Kind::Mp4 => pictures.push(Yuv::new(&frame)),
                         }
                     }

@@ -8,6 +8,8 @@ pub mod error;
 pub mod exact;
 pub mod fly;
 pub mod frame;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod options;
 pub mod output;
 pub mod path;
@@ -21,6 +23,8 @@ pub mod video;
 pub use camera::Camera;
 pub use error::{Error, Result};
 pub use frame::{Frame, StageTimes, Stats};
+#[cfg(feature = "gpu")]
+pub use gpu::{GpuOptions, GpuRenderer, Kernel};
 pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
 pub use renderer::{CpuRenderer, Outputs};
 pub use resident::Resident;

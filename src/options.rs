@@ -87,7 +87,7 @@ impl Default for Options {
             repeat: Repeat::default(),
             lod: Some(1.0),
             planes: Planes::Auto,
-            readjust: false,
+            readjust: true,
             culling: Culling::ALL,
             equidistant: None,
             remap: Remap::Retest,

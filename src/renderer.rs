@@ -86,7 +86,7 @@ impl<'a> CpuRenderer<'a> {
     /// Draws one frame by forward projection in planes.
     pub fn render(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         check(camera, options)?;
-        if let Some(frame) = self.inside_solid(camera, options, outputs) {
+        if let Some(frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
             return Ok(frame);
         }
         let mut frame = self.frame(camera, outputs);
@@ -110,7 +110,7 @@ impl<'a> CpuRenderer<'a> {
         shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
         let shade_ms = milliseconds(at);
 
-        frame.stats = self.stats(camera, options, "cpu", "planes");
+        frame.stats = frame_stats(self.scene, self.resident, camera, options, "cpu", "planes");
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
@@ -130,7 +130,7 @@ impl<'a> CpuRenderer<'a> {
     /// Draws one frame with one f64 ray a pixel at level 0.
     pub fn exact(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         check(camera, options)?;
-        if let Some(frame) = self.inside_solid(camera, options, outputs) {
+        if let Some(frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
             return Ok(frame);
         }
         let mut frame = self.frame(camera, outputs);
@@ -140,7 +140,7 @@ impl<'a> CpuRenderer<'a> {
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
         shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
-        frame.stats = self.stats(camera, options, "exact", "exact");
+        frame.stats = frame_stats(self.scene, self.resident, camera, options, "exact", "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
             shade: milliseconds(at),
@@ -150,45 +150,10 @@ impl<'a> CpuRenderer<'a> {
         Ok(frame)
     }
 
-    /// An eye inside a solid voxel sees that voxel at depth 0 in every pixel.
-    fn inside_solid(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Option<Frame> {
-        let [nx, ny, nz] = self.scene.dims();
-        let cell = camera.eye.floor();
-        let place = |v: f64, n: u32, repeat: bool| {
-            let v = v as i64;
-            if repeat { Some(v.rem_euclid(i64::from(n)) as u32) } else { u32::try_from(v).ok().filter(|&v| v < n) }
-        };
-        let x = place(cell.x, nx, options.repeat.x)?;
-        let y = place(cell.y, ny, false)?;
-        let z = place(cell.z, nz, options.repeat.z)?;
-        let solid = &self.scene.levels[0].solid;
-        solid.find(x, y, z)?;
-        // Which run of the geometry holds it: a surface scene's interior lies in none.
-        let geometry = self.scene.levels[0].geometry(self.scene.encoding);
-        let column = geometry.index(x, z);
-        let range = geometry.range(column);
-        let k = geometry.find(x, y, z).map_or(0, |run| (range.end - 1 - run) as u32);
-        let color = self.resident.levels[0].paint.color(column, k, y);
-        let mut frame = self.frame(camera, outputs);
-        frame.depth.fill(0.0);
-        frame.color.fill((color | 0xFF00_0000).to_le_bytes());
-        frame.voxel.fill([cell.x as i32, cell.y as i32, cell.z as i32, 0]);
-        frame.stats = self.stats(camera, options, "cpu", "inside");
-        frame.stats.cpu_ms = Some(StageTimes::default());
-        Some(frame)
-    }
-
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {
-        let n = camera.width as usize * camera.height as usize;
-        self.color.resize(n, 0);
-        Frame {
-            width: camera.width,
-            height: camera.height,
-            color: vec![[0; 4]; n],
-            depth: vec![0.0; n],
-            voxel: vec![SKY; if outputs.voxel { n } else { 0 }],
-            stats: Stats::default(),
-        }
+        let frame = empty_frame(camera, outputs);
+        self.color.resize(frame.depth.len(), 0);
+        frame
     }
 
     /// Remap and, where planes are more than a pixel apart, gap fill. Returns holes before and after.
@@ -202,7 +167,7 @@ impl<'a> CpuRenderer<'a> {
     ) -> [u64; 2] {
         let width = frame.width;
         // Planes at most a pixel apart reach every pixel.
-        let sparse = setup.fans.iter().any(|f| f.n_planes > 0 && (f.spacing > 1.0 || f.readjusted.is_some()));
+        let sparse = setup.is_sparse();
         if retest && (!sparse || options.gap_fill) {
             let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
             remap::remap_retest(setup, &self.buffer, camera, color, depth, voxel);
@@ -234,35 +199,90 @@ impl<'a> CpuRenderer<'a> {
         }
         holes
     }
+}
 
-    fn stats(&self, camera: &Camera, options: &Options, device: &str, kernel: &str) -> Stats {
-        let mut specialization = Vec::new();
-        match self.scene.color {
-            ColorMode::None => {}
-            ColorMode::Run => specialization.push("color-run".into()),
-            ColorMode::Voxel => specialization.push("color-voxel".into()),
-        }
-        if options.repeat.x || options.repeat.z {
-            specialization.push("repeat".into());
-        }
-        if options.lod.is_some() {
-            specialization.push("levels".into());
-        }
-        match options.shading {
-            Shading::None => {}
-            Shading::Ssn => specialization.push("ssn".into()),
-            Shading::Ssao => specialization.push("ssao".into()),
-            Shading::Full => specialization.extend(["ssn".into(), "ssao".into()]),
-        }
-        Stats {
-            device: device.into(),
-            kernel: kernel.into(),
-            levels: self.resident.levels.len() as u32,
-            width: camera.width,
-            height: camera.height,
-            specialization,
-            ..Stats::default()
-        }
+/// An eye inside a solid voxel sees that voxel at depth 0 in every pixel.
+pub(crate) fn inside_solid(
+    scene: &Scene,
+    resident: &Resident,
+    camera: &Camera,
+    options: &Options,
+    outputs: Outputs,
+) -> Option<Frame> {
+    let [nx, ny, nz] = scene.dims();
+    let cell = camera.eye.floor();
+    let place = |v: f64, n: u32, repeat: bool| {
+        let v = v as i64;
+        if repeat { Some(v.rem_euclid(i64::from(n)) as u32) } else { u32::try_from(v).ok().filter(|&v| v < n) }
+    };
+    let x = place(cell.x, nx, options.repeat.x)?;
+    let y = place(cell.y, ny, false)?;
+    let z = place(cell.z, nz, options.repeat.z)?;
+    let solid = &scene.levels[0].solid;
+    solid.find(x, y, z)?;
+    // Which run of the geometry holds it: a surface scene's interior lies in none.
+    let geometry = scene.levels[0].geometry(scene.encoding);
+    let column = geometry.index(x, z);
+    let range = geometry.range(column);
+    let k = geometry.find(x, y, z).map_or(0, |run| (range.end - 1 - run) as u32);
+    let color = resident.levels[0].paint.color(column, k, y);
+    let mut frame = empty_frame(camera, outputs);
+    frame.depth.fill(0.0);
+    frame.color.fill((color | 0xFF00_0000).to_le_bytes());
+    frame.voxel.fill([cell.x as i32, cell.y as i32, cell.z as i32, 0]);
+    frame.stats = frame_stats(scene, resident, camera, options, "cpu", "inside");
+    frame.stats.cpu_ms = Some(StageTimes::default());
+    Some(frame)
+}
+
+/// A frame without a picture yet.
+fn empty_frame(camera: &Camera, outputs: Outputs) -> Frame {
+    let n = camera.width as usize * camera.height as usize;
+    Frame {
+        width: camera.width,
+        height: camera.height,
+        color: vec![[0; 4]; n],
+        depth: vec![0.0; n],
+        voxel: vec![SKY; if outputs.voxel { n } else { 0 }],
+        stats: Stats::default(),
+    }
+}
+
+/// What is known of a frame before it is drawn.
+pub(crate) fn frame_stats(
+    scene: &Scene,
+    resident: &Resident,
+    camera: &Camera,
+    options: &Options,
+    device: &str,
+    kernel: &str,
+) -> Stats {
+    let mut specialization = Vec::new();
+    match scene.color {
+        ColorMode::None => {}
+        ColorMode::Run => specialization.push("color-run".into()),
+        ColorMode::Voxel => specialization.push("color-voxel".into()),
+    }
+    if options.repeat.x || options.repeat.z {
+        specialization.push("repeat".into());
+    }
+    if options.lod.is_some() {
+        specialization.push("levels".into());
+    }
+    match options.shading {
+        Shading::None => {}
+        Shading::Ssn => specialization.push("ssn".into()),
+        Shading::Ssao => specialization.push("ssao".into()),
+        Shading::Full => specialization.extend(["ssn".into(), "ssao".into()]),
+    }
+    Stats {
+        device: device.into(),
+        kernel: kernel.into(),
+        levels: resident.levels.len() as u32,
+        width: camera.width,
+        height: camera.height,
+        specialization,
+        ..Stats::default()
     }
 }
 

@@ -14,8 +14,8 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 use planecast_encoder::{Columns, Scene};
 
+use crate::Repeat;
 use crate::path::{Keyframe, Path, Pose};
-use crate::{Camera, Repeat};
 
 /// Seconds that a tour takes unless told otherwise.
 pub const SECONDS: f64 = 20.0;
@@ -209,25 +209,25 @@ fn over(ground: &Ground, fov: f64) -> Path {
 /// A loop around an object.
 fn around(ground: &Ground, view: View) -> Path {
     let center = (ground.low + ground.high) / 2.0;
-    let radius = (ground.high - ground.low).length() / 2.0;
-    let half = Camera {
-        eye: center,
-        yaw: 0.0,
-        pitch: 0.0,
-        roll: 0.0,
-        fov: view.fov,
-        width: view.size[0],
-        height: view.size[1],
-    }
-    .half_extent();
-    // The sphere around the object touches the nearer edges of the picture; 1.2 radii keep the eye out of it at
-    // any field of view.
-    let distance = radius * (1.0 / half.min_element().atan().sin()).max(1.2);
-    closed(|u| {
+    let size = ground.high - ground.low;
+    let from = |u: f64| {
         let (turn, rise) = ((u + 0.08) * TAU, (22.0 + 12.0 * (u * TAU).cos()).to_radians());
-        let from = DVec3::new(turn.sin() * rise.cos(), rise.sin(), turn.cos() * rise.cos());
-        look(center + distance * from, center, view.fov)
-    })
+        DVec3::new(turn.sin() * rise.cos(), rise.sin(), turn.cos() * rise.cos())
+    };
+    // Near enough that from everywhere on the loop all corners are in the picture, with a margin of a tenth; 0.6
+    // diagonals keep the eye out of the object at any field of view.
+    let nearest = |u: f64| {
+        let camera = look(center + from(u), center, view.fov).camera(view.size);
+        let (basis, half) = (camera.basis(), camera.half_extent() / 1.1);
+        let corner = |i: i32| size * DVec3::new((i & 1).into(), (i >> 1 & 1).into(), (i >> 2).into()) - size / 2.0;
+        let needed = |d: DVec3| {
+            let side = (d.dot(basis.right).abs() / half.x).max(d.dot(basis.up).abs() / half.y);
+            side - d.dot(basis.forward)
+        };
+        (0..8).map(corner).map(needed).fold(0.0, f64::max)
+    };
+    let distance = (0..KEYFRAMES).map(|i| nearest(i as f64 / KEYFRAMES as f64)).fold(0.6 * size.length(), f64::max);
+    closed(|u| look(center + distance * from(u), center, view.fov))
 }
 
 /// The path, raised by what it lacks to keep half the clearance over the ground everywhere: the smoothing leaves the

@@ -105,25 +105,26 @@ pub fn read_segment(mut bytes: &[u8]) -> Option<Vec<Packet>> {
 
 /// Encodes a segment on one core; `on_frame` is called for every frame that is done.
 ///
-/// Speed and quantizer were chosen by measuring, on 96 frames of the demo's film (640 × 360), CPU time with drawing on
-/// two cores without SIMD assembly:
+/// Settings were chosen by measuring, on the 96 frames of the demo's film (640 × 360, 12 a second); CPU time without
+/// SIMD assembly, 5 s of it for the drawing:
 ///
-/// | speed | quantizer | s | MB | PSNR, dB, mean (least) |
-/// | --- | --- | --- | --- | --- |
-/// | 10 | 80 | 38 | 2.5 | 33.7 (31.5) |
-/// | 10 | 50 | 44 | 3.7 | 35.7 (34.2) |
-/// | 9 | 80 | 57 | 2.3 | 33.8 (31.5) |
-/// | 9 | 50 | 67 | 3.5 | 35.8 (34.3) |
-/// | 8 | 80 | 88 | 2.3 | 33.8 (31.5) |
+/// | tuned for | frames in | CDEF | speed | quantizer | s | MB | PSNR, dB, mean (least) |
+/// | --- | --- | --- | --- | --- | --- | --- | --- |
+/// | PSNR | order | off | 10 | 80 | 19 | 3.5 | 35.4 (35.0) |
+/// | PSNR | order | off | 10 | 100 | 18 | 2.7 | 34.1 (33.6) |
+/// | PSNR | order | on | 10 | 100 | 23 | 2.7 | 34.2 (33.7) |
+/// | PSNR | order | on | 10 | 80 | 25 | 3.5 | 35.4 (35.0) |
+/// | the eye | a pyramid | on | 10 | 50 | 44 | 3.7 | 35.7 (34.2) |
+/// | the eye | a pyramid | on | 9 | 50 | 67 | 3.5 | 35.8 (34.3) |
 #[cfg(feature = "av1")]
 pub fn encode(frames: &[Yuv], fps: f64, on_frame: &mut dyn FnMut()) -> Result<Vec<Packet>> {
     /// Of 10, the fastest.
     const SPEED: u8 = 10;
     /// Of 255, the coarsest.
-    const QUANTIZER: usize = 60;
+    const QUANTIZER: usize = 80;
     use rav1e::prelude::{
         ColorDescription, ColorPrimaries, Config, Context, EncoderConfig, EncoderStatus, FrameType, MatrixCoefficients,
-        Rational, SceneDetectionSpeed, TransferCharacteristics,
+        Rational, SceneDetectionSpeed, TransferCharacteristics, Tune,
     };
 
     let Some(first) = frames.first() else { return Ok(Vec::new()) };
@@ -138,6 +139,9 @@ pub fn encode(frames: &[Yuv], fps: f64, on_frame: &mut dyn FnMut()) -> Result<Ve
         matrix_coefficients: MatrixCoefficients::BT709,
     });
     config.quantizer = QUANTIZER;
+    config.tune = Tune::Psnr;
+    config.low_latency = true; // frames in order, none that waits for a later one
+    config.speed_settings.cdef = false;
     // One key frame a segment: neither a scene change nor a full interval makes another.
     config.min_key_frame_interval = frames.len() as u64;
     config.max_key_frame_interval = frames.len() as u64;

@@ -6,8 +6,8 @@
 //! (Forstmann & Ohya 2009 §3.6, with the arrow turned round: they scatter textured lines, here pixels gather.)
 
 use crate::camera::Camera;
-use crate::cpu::traverse::{PlaneBuffer, Real, SKY};
-use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, vertical};
+use crate::cpu::traverse::{PlaneBuffer, Real, SKY, has_avx2};
+use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, crowd, vertical};
 use rayon::prelude::*;
 
 /// No plane passes within half a pixel.
@@ -88,14 +88,23 @@ impl<'a> Row<'a> {
         if fan.n_planes == 0 {
             return;
         }
-        if fan.readjusted.is_some() {
-            return self.places(stretch, &fan, |x, sample, at| pixel(x, Place { plane: fan.plane_at(at), sample, at }));
+        let last = f64::from(fan.n_planes - 1);
+        match fan.readjusted {
+            None => {
+                let per_pixel = 1.0 / fan.spacing;
+                self.places(stretch, &fan, |x, sample, at| {
+                    let plane = ((at - fan.start) * per_pixel).truncate(last) as u32;
+                    pixel(x, Place { plane, sample, at });
+                });
+            }
+            Some(r) => {
+                let (per_distance, per_step) = (1.0 / r.distance, 1.0 / r.step);
+                self.places(stretch, &fan, |x, sample, at| {
+                    let plane = ((crowd((at - r.centre) * per_distance) - r.start) * per_step).truncate(last) as u32;
+                    pixel(x, Place { plane, sample, at });
+                });
+            }
         }
-        let (per_pixel, last) = (1.0 / fan.spacing, f64::from(fan.n_planes - 1));
-        self.places(stretch, &fan, |x, sample, at| {
-            let plane = ((at - fan.start) * per_pixel).truncate(last) as u32;
-            pixel(x, Place { plane, sample, at });
-        });
     }
 
     /// Calls `place(column, sample, place on the far edge)` for each column of a stretch.
@@ -117,7 +126,8 @@ impl<'a> Row<'a> {
             for x in stretch.from..stretch.to {
                 let center = f64::from(x as i32) + 0.5;
                 let dx = vx - center * vw;
-                let at = y + if dx == 0.0 { 0.0 } else { (far - center) * dy / dx };
+                let dx = if dx == 0.0 { f64::INFINITY } else { dx };
+                let at = y + (far - center) * dy / dx;
                 place(x as usize, if flip { n - 1 - x } else { x }, at);
             }
         }
@@ -160,29 +170,68 @@ impl Fan {
 /// Colour and depth of each pixel, `width` a row: those of the nearest plane's sample.
 pub fn remap(setup: &Setup, buffer: &PlaneBuffer, width: u32, color: &mut [u32], depth: &mut [f32]) {
     let w = width as usize;
+    let avx2 = has_avx2();
     let tasks = color.par_chunks_mut(ROWS_A_TASK * w).zip(depth.par_chunks_mut(ROWS_A_TASK * w)).enumerate();
     tasks.for_each(|(task, (color, depth))| {
-        let rows = color.len() / w;
-        let rows: Vec<_> = (0..rows).map(|r| Row::new(setup, (task * ROWS_A_TASK + r) as u32, width)).collect();
-        let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
-        for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
-            let to = (from + COLUMNS_A_BLOCK).min(width);
-            for (r, row) in rows.iter().enumerate() {
-                let (color, depth) = (&mut color[r * w..(r + 1) * w], &mut depth[r * w..(r + 1) * w]);
-                for s in stretches[r] {
-                    let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
-                    let fan = setup.fans[s.fan];
-                    let own = fan.first_sample..fan.first_sample + fan.n_planes as usize * fan.n_samples as usize;
-                    let (colors, depths) = (&buffer.color[own.clone()], &buffer.depth[own]);
-                    row.gather(part, |x, place| {
-                        let i = place.plane as usize * fan.n_samples as usize + place.sample as usize;
-                        color[x] = colors[i];
-                        depth[x] = depths[i];
-                    });
+        let task = RowsTask { setup, buffer, first_row: (task * ROWS_A_TASK) as u32, width, color, depth };
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: `has_avx2` has seen that the processor can.
+            return unsafe { remap_rows_avx2(task) };
+        }
+        let _ = avx2;
+        remap_rows(task);
+    });
+}
+
+/// Some rows of a picture.
+struct RowsTask<'a> {
+    setup: &'a Setup,
+    buffer: &'a PlaneBuffer,
+    first_row: u32,
+    width: u32,
+    color: &'a mut [u32],
+    depth: &'a mut [f32],
+}
+
+/// The same code for processors with AVX2; the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn remap_rows_avx2(task: RowsTask<'_>) {
+    remap_rows(task);
+}
+
+#[inline(always)]
+fn remap_rows(task: RowsTask<'_>) {
+    let RowsTask { setup, buffer, first_row, width, color, depth } = task;
+    let w = width as usize;
+    let rows: Vec<_> = (first_row..first_row + (color.len() / w) as u32).map(|r| Row::new(setup, r, width)).collect();
+    let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
+    let mut index = [0u32; COLUMNS_A_BLOCK as usize];
+    for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
+        let to = (from + COLUMNS_A_BLOCK).min(width);
+        for (r, row) in rows.iter().enumerate() {
+            for s in stretches[r] {
+                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
+                if part.from >= part.to {
+                    continue;
+                }
+                let fan = &setup.fans[s.fan];
+                let n = fan.n_samples;
+                let own = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
+                let (colors, depths) = (&buffer.color[own.clone()], &buffer.depth[own]);
+                // First where to look, in vectors; then the looking.
+                row.gather(part, |x, place| {
+                    index[(x as u32 - from) as usize % COLUMNS_A_BLOCK as usize] = place.plane * n + place.sample;
+                });
+                let index = &index[(part.from - from) as usize..(part.to - from) as usize];
+                let out = r * w + part.from as usize..r * w + part.to as usize;
+                for ((c, z), &i) in color[out.clone()].iter_mut().zip(&mut depth[out]).zip(index) {
+                    (*c, *z) = (colors[i as usize], depths[i as usize]);
                 }
             }
         }
-    });
+    }
 }
 
 /// The voxels' boxes as a pixel's ray meets them.

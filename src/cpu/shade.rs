@@ -40,6 +40,8 @@ pub struct ShadeParams {
     /// Radius of the spiral in pixels, and of one pixel at depth 1.
     pub radius_px: f32,
     pub pixel: f32,
+    /// See [`spiral`].
+    pub spiral: [[i32; 2]; 16 * SSAO_SAMPLES as usize],
     pub normals: bool,
     pub occlusion: bool,
     /// 1 / fog distance, 0 for clear air.
@@ -61,8 +63,9 @@ impl ShadeParams {
             step: step.map(|s| s as f32),
             up: axes(glam::DVec3::Y),
             sun: axes(sun),
-            radius_px: (SSAO_RADIUS * camera.height as f32).max(2.0),
+            radius_px: radius_px(camera),
             pixel: (1.0 / camera.focal()) as f32,
+            spiral: spiral(radius_px(camera)),
             normals: matches!(options.shading, Shading::Ssn | Shading::Full),
             occlusion: matches!(options.shading, Shading::Ssao | Shading::Full),
             fog: options.fog.map_or(0.0, |f| (1.0 / f) as f32),
@@ -160,14 +163,10 @@ fn occlusion(p: &ShadeParams, depth: &[f32], x: i32, y: i32, z: f32, n: Vec3) ->
     let here = p.ray(x, y) * z;
     let radius = p.radius_px * p.pixel * z;
     // One of 16 turns in a 4 × 4 pattern.
-    let turn = ((x & 3) * 4 + (y & 3)) * 7 & 15;
-    let (mut s, mut c) = (turn as f32 * (std::f32::consts::TAU / 16.0)).sin_cos();
-    let (ds, dc) = (0.675_490_3, -0.737_368_9); // the golden angle
+    let turn = (((x & 3) * 4 + (y & 3)) * 7 & 15) as usize * SSAO_SAMPLES as usize;
     let mut sum = 0.0;
-    for k in 0..SSAO_SAMPLES {
-        let r = p.radius_px * (k as f32 + 0.75) / SSAO_SAMPLES as f32;
-        let (sx, sy) = (x + round(r * c), y + round(r * s));
-        (c, s) = (c * dc - s * ds, s * dc + c * ds);
+    for [dx, dy] in &p.spiral[turn..turn + SSAO_SAMPLES as usize] {
+        let (sx, sy) = (x + dx, y + dy);
         let zs = depth_at(p, depth, sx, sy);
         if zs == f32::INFINITY {
             continue;
@@ -179,6 +178,26 @@ fn occlusion(p: &ShadeParams, depth: &[f32], x: i32, y: i32, z: f32, n: Vec3) ->
         sum += (above / (d2 + 0.01 * radius * radius).sqrt()).max(0.0) * fade;
     }
     (SSAO_STRENGTH * 2.0 * sum / SSAO_SAMPLES as f32).min(0.85)
+}
+
+/// Radius of the occlusion spiral in pixels.
+pub fn radius_px(camera: &Camera) -> f32 {
+    (SSAO_RADIUS * camera.height as f32).max(2.0)
+}
+
+/// Offsets in pixels of the [`SSAO_SAMPLES`] neighbours for each of 16 turns of the spiral.
+pub fn spiral(radius_px: f32) -> [[i32; 2]; 16 * SSAO_SAMPLES as usize] {
+    let mut out = [[0; 2]; 16 * SSAO_SAMPLES as usize];
+    for (turn, out) in out.chunks_mut(SSAO_SAMPLES as usize).enumerate() {
+        let (mut s, mut c) = (turn as f32 * (std::f32::consts::TAU / 16.0)).sin_cos();
+        let (ds, dc) = (0.675_490_3, -0.737_368_9); // the golden angle
+        for (k, out) in out.iter_mut().enumerate() {
+            let r = radius_px * (k as f32 + 0.75) / SSAO_SAMPLES as f32;
+            *out = [round(r * c), round(r * s)];
+            (c, s) = (c * dc - s * ds, s * dc + c * ds);
+        }
+    }
+    out
 }
 
 fn round(v: f32) -> i32 {

@@ -247,8 +247,8 @@ fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Coun
     traverse_one::<R>(task, scratch)
 }
 
-/// Whether [`traverse_one_avx2`] may be called.
-fn has_avx2() -> bool {
+/// Whether the variants for AVX2 may be called.
+pub fn has_avx2() -> bool {
     #[cfg(target_arch = "x86_64")]
     return is_x86_feature_detected!("avx2")
         && is_x86_feature_detected!("bmi1")
@@ -470,7 +470,12 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             } else {
                 R::STEEP
             };
-            let (bottom, top) = (self.height(level.bottom << l), self.height(level.top << l));
+            // Of this level and those that follow: a coarser one can reach beyond a finer.
+            let left = (l..setup.levels).map(|k| (k, &self.resident.levels[k as usize]));
+            let (bottom, top) = left.fold((u32::MAX, 0), |(bottom, top), (k, level)| {
+                (bottom.min(level.bottom << k), top.max(level.top << k))
+            });
+            let (bottom, top) = (self.height(bottom), self.height(top));
             loop {
                 if t0 >= t_end || self.closed() {
                     return;
@@ -489,11 +494,19 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 {
                     return;
                 }
+                // Where this way of walking ends, in the midst of a column if need be: not the walk decides what is drawn
+                // at which level, but the distance.
+                let limit = t_end.min(next_level).min(if t0 < equidistant { equidistant } else { R::STEEP });
                 if t0 >= equidistant {
-                    t0 = self.slice(level, l, t0, t_end, &mut cell, dir, cross);
+                    t0 = self.slice(level, l, t0, limit, &mut cell, dir, cross);
                     continue;
                 }
 
+                // Rounding can put the world's far edge a little before `t_end`.
+                let outside = |axis: usize| !setup.repeats[axis] && !(0..size[axis]).contains(&cell[axis]);
+                if outside(0) || outside(1) {
+                    return;
+                }
                 // The block of columns that `cell` lies in, cut off where the world repeats.
                 let wrapped = [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])];
                 let mut stop = [0; 2];
@@ -513,29 +526,37 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 let exit = [cross(0, stop_line(0)), cross(1, stop_line(1))];
                 let t_exit = exit[0].min(exit[1]);
                 if FAST || self.culling.coarse {
-                    let (lo, hi) = self.visible(t0, t_exit.min(t_end));
+                    let (lo, hi) = self.visible(t0, t_exit.min(limit));
                     if bounds.0 == EMPTY
                         || self.height(bounds.end() << l) <= lo
                         || self.height(u32::from(bounds.first()) << l) >= hi
                     {
+                        // The cell that stepping would have come to at `t`: estimated, then put right.
+                        let reached = |axis: usize, t: R| {
+                            let passed = |line: i32| {
+                                let at = cross(axis, line << l);
+                                if axis == 0 { at <= t } else { at < t }
+                            };
+                            let at = (fract[axis] + t * dir[axis]).floor_i32().wrapping_add(eye[axis]) >> l;
+                            let (from, to) = (cell[axis], stop[axis] - step[axis]);
+                            let mut at = at.clamp(from.min(to), from.max(to));
+                            while at != from && !passed(at + 1 - ahead[axis]) {
+                                at -= step[axis];
+                            }
+                            while at != to && passed(at + ahead[axis]) {
+                                at += step[axis];
+                            }
+                            at
+                        };
+                        if t_exit > limit {
+                            cell = [reached(0, limit), reached(1, limit)];
+                            t0 = limit;
+                            continue;
+                        }
                         let axis = usize::from(exit[1] < exit[0]);
                         let other = 1 - axis;
+                        cell[other] = reached(other, t_exit);
                         cell[axis] = stop[axis];
-                        // In the other axis the cell that stepping would have come to: estimated, then put right.
-                        let passed = |line: i32| {
-                            let t = cross(other, line << l);
-                            if other == 0 { t <= t_exit } else { t < t_exit }
-                        };
-                        let at = (fract[other] + t_exit * dir[other]).floor_i32().wrapping_add(eye[other]) >> l;
-                        let (from, to) = (cell[other], stop[other] - step[other]);
-                        let mut at = at.clamp(from.min(to), from.max(to));
-                        while at != from && !passed(at + 1 - ahead[other]) {
-                            at -= step[other];
-                        }
-                        while at != to && passed(at + ahead[other]) {
-                            at += step[other];
-                        }
-                        cell[other] = at;
                         t0 = t0.max(t_exit);
                         continue;
                     }
@@ -546,14 +567,17 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 let mut next = [cross(0, (cell[0] + ahead[0]) << l), cross(1, (cell[1] + ahead[1]) << l)];
                 loop {
                     let axis = usize::from(next[1] < next[0]);
-                    let t1 = next[axis].min(t_end);
+                    let t1 = next[axis].min(limit);
                     if t1 > t0 {
                         self.cell = cell;
                         self.column(level, l, index as usize, t0, t1);
                         t0 = t1;
-                        if self.closed() || t0 >= t_end {
+                        if self.closed() {
                             return;
                         }
+                    }
+                    if t0 >= limit {
+                        break;
                     }
                     cell[axis] += step[axis];
                     if cell[axis] == stop[axis] {
@@ -577,7 +601,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         level: &'a ResidentLevel,
         l: u32,
         t0: R,
-        t_end: R,
+        limit: R,
         cell: &mut [i32; 2],
         dir: [R; 2],
         cross: impl Fn(usize, i32) -> R,
@@ -586,7 +610,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let major = usize::from(plane.dir[1].abs() > plane.dir[0].abs());
         let minor = 1 - major;
         let step = if plane.dir[major] < 0.0 { -1 } else { 1 };
-        let t1 = cross(major, (cell[major] + i32::from(step > 0)) << l).min(t_end).max(t0);
+        let t1 = cross(major, (cell[major] + i32::from(step > 0)) << l).min(limit).max(t0);
         let middle = (t0 + t1) * R::HALF;
         let along = R::from_f64(setup.eye_fract[2 * minor]) + middle * dir[minor];
         cell[minor] = along.floor_i32().wrapping_add(setup.eye_cell[2 * minor]) >> l;
@@ -598,7 +622,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             self.cell = *cell;
             self.column(level, l, index, t0, t1);
         }
-        cell[major] += step;
+        if t1 < limit {
+            cell[major] += step;
+        }
         t1
     }
 

@@ -1,0 +1,122 @@
+// Stage remap: each pixel takes the sample of the nearest plane, or the one whose voxel its own ray meets.
+// Twin: src/cpu/remap.rs. Grid: pixels.
+//!include shared/frame.wgsl
+//!include shared/plane.wgsl
+//!include shared/place.wgsl
+
+@group(0) @binding(3) var<storage, read> plane_color: array<u32>;
+@group(0) @binding(4) var<storage, read> plane_depth: array<u32>;
+@group(0) @binding(5) var<storage, read> plane_voxel: array<vec4<i32>>;
+@group(0) @binding(6) var<storage, read_write> image_color: array<u32>;
+@group(0) @binding(7) var<storage, read_write> image_depth: array<u32>;
+@group(0) @binding(10) var<storage, read_write> image_voxel: array<vec4<i32>>;
+@group(0) @binding(11) var<storage, read_write> index: array<u32>;
+// Pixels without a plane.
+@group(0) @binding(12) var<storage, read_write> holes: atomic<u32>;
+
+override RETEST: bool = false;
+// Writes which sample each pixel takes, for gap_fill, and nothing else.
+override INDEX: bool = false;
+// Takes the samples that gap_fill settled on.
+override GATHER: bool = false;
+
+const MISS: f32 = -1.0;
+
+// Depth at which a ray enters a voxel, at least 0; MISS where it does not.
+fn enter(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
+    let l = u32(voxel.w);
+    let lower = vec3<f32>((voxel.xyz << vec3(l)) - frame.eye_cell) - frame.eye_fract;
+    let upper = lower + f32(1u << l);
+    let a = lower * inverse;
+    let b = upper * inverse;
+    let near3 = min(a, b);
+    let far3 = max(a, b);
+    let near = max(max(near3.x, near3.y), max(near3.z, 0.0));
+    let far = min(min(far3.x, far3.y), far3.z);
+    // Rounding must not let a ray slip between two voxels.
+    return select(MISS, near, near <= far * (1.0 + 1e-6));
+}
+
+fn put(i: u32, sample: u32, depth: u32) {
+    image_color[i] = plane_color[sample];
+    image_depth[i] = depth;
+    if (VOXEL) {
+        var voxel = plane_voxel[sample];
+        if (voxel.w >= 0) {
+            voxel = vec4(voxel.xyz << vec3(u32(voxel.w)), voxel.w) + vec4(frame.offset_x, 0, frame.offset_z, 0);
+        }
+        image_voxel[i] = voxel;
+    }
+}
+
+@compute @workgroup_size(16, 16)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= frame.width || id.y >= frame.height) {
+        return;
+    }
+    let i = id.y * frame.width + id.x;
+    if (GATHER) {
+        let sample = index[i];
+        if (sample == HOLE) {
+            image_color[i] = 0u;
+            image_depth[i] = INFINITY;
+            if (VOXEL) {
+                image_voxel[i] = vec4(-1);
+            }
+            return;
+        }
+        put(i, sample, plane_depth[sample]);
+        return;
+    }
+    let place = place_of(id.x, id.y);
+    let own = buffer_index(place.fan, place.plane, place.sample);
+    if (INDEX) {
+        index[i] = select(HOLE, own, place.covered);
+        if (!place.covered) {
+            atomicAdd(&holes, 1u);
+        }
+        return;
+    }
+    if (!RETEST) {
+        put(i, own, plane_depth[own]);
+        return;
+    }
+    let inverse = ray_inverse(pixel_ray(id.x, id.y));
+    let own_voxel = plane_voxel[own];
+    if (own_voxel.w >= 0) {
+        let near = enter(own_voxel, inverse);
+        if (near != MISS) {
+            put(i, own, bitcast<u32>(near));
+            return;
+        }
+    }
+    // The nearest sample that the ray meets among those around the place; else one that shows the sky; else the own one.
+    var best = own;
+    var best_depth = MISS;
+    var sky = select(NONE, own, own_voxel.w < 0);
+    for (var side = 0u; side < 2u; side++) {
+        let k = select(place.plane, place.second, side == 1u);
+        let p = frame.fans[place.fan].first_plane + k;
+        let start = max(i32(place.sample) - 1, planes[p].first);
+        let to = min(i32(place.sample) + 2, planes[p].end);
+        for (var sample = start; sample < to; sample++) {
+            let at = buffer_index(place.fan, k, u32(sample));
+            let voxel = plane_voxel[at];
+            if (voxel.w < 0) {
+                sky = select(sky, at, sky == NONE);
+                continue;
+            }
+            let near = enter(voxel, inverse);
+            if (near != MISS && (best_depth == MISS || near < best_depth)) {
+                best = at;
+                best_depth = near;
+            }
+        }
+    }
+    if (best_depth != MISS) {
+        put(i, best, bitcast<u32>(best_depth));
+    } else {
+        let chosen = select(sky, own, sky == NONE);
+        put(i, chosen, plane_depth[chosen]);
+    }
+}

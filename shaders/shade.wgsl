@@ -1,0 +1,134 @@
+// Stage shade: colour, screen-space normals, screen-space ambient occlusion, fog and sky.
+// Twin: src/cpu/shade.rs. Grid: pixels.
+//!include shared/frame.wgsl
+
+@group(0) @binding(3) var<storage, read> image_color: array<u32>;
+@group(0) @binding(4) var<storage, read> image_depth: array<u32>;
+@group(0) @binding(5) var<storage, read_write> shaded: array<u32>;
+// Offsets in pixels of SSAO_SAMPLES neighbours for each of 16 turns.
+@group(0) @binding(6) var<storage, read> spiral: array<vec2<i32>>;
+
+override NORMALS: bool = true;
+override OCCLUSION: bool = true;
+
+// Stands for the sky; farther than anything drawn.
+const FAR: f32 = 3e38;
+
+fn ray_at(x: i32, y: i32) -> vec3<f32> {
+    return vec3(frame.start + frame.step * vec2(f32(x), f32(y)), 1.0);
+}
+
+// Depth at a pixel; outside the image and in the sky, FAR.
+fn depth_at(x: i32, y: i32) -> f32 {
+    if (x < 0 || y < 0 || x >= i32(frame.width) || y >= i32(frame.height)) {
+        return FAR;
+    }
+    let z = image_depth[u32(y) * frame.width + u32(x)];
+    return select(bitcast<f32>(z), FAR, z == INFINITY);
+}
+
+fn pack(c: vec3<f32>) -> u32 {
+    let byte = vec3<u32>(clamp(c, vec3(0.0), vec3(1.0)) * 255.0 + 0.5);
+    return byte.x | (byte.y << 8u) | (byte.z << 16u) | 0xff000000u;
+}
+
+fn sky(ray: vec3<f32>) -> vec3<f32> {
+    let elevation = dot(ray, frame.up) / length(ray);
+    let to = select(SKY_NADIR, SKY_ZENITH, elevation >= 0.0);
+    return mix(SKY_HORIZON, to, min(sqrt(abs(elevation)), 1.0));
+}
+
+fn tangent(x: i32, y: i32, z: f32, here: vec3<f32>, dx: i32, dy: i32) -> vec3<f32> {
+    var sum = vec3(0.0);
+    for (var k = 1; k <= 4; k *= 2) {
+        let zf = depth_at(x + k * dx, y + k * dy);
+        let zb = depth_at(x - k * dx, y - k * dy);
+        // The side on the same surface, if one is: a jump of more than what a steep slope makes is an edge.
+        let jump_f = abs(zf - z);
+        let jump_b = abs(zb - z);
+        if (min(jump_f, jump_b) < 0.02 * f32(k) * z + 1.5) {
+            if (jump_f <= jump_b) {
+                sum += ray_at(x + k * dx, y + k * dy) * zf - here;
+            } else {
+                sum += here - ray_at(x - k * dx, y - k * dy) * zb;
+            }
+        }
+    }
+    return sum;
+}
+
+// Unit normal towards the eye, in camera axes.
+fn normal(x: i32, y: i32, z: f32) -> vec3<f32> {
+    let here = ray_at(x, y) * z;
+    let n = cross(tangent(x, y, z, here, 1, 0), tangent(x, y, z, here, 0, 1));
+    let length2 = dot(n, n);
+    if (!(length2 > 0.0 && length2 < F32_MAX)) {
+        if (z > 0.0) {
+            return -normalize(ray_at(x, y));
+        }
+        return vec3(0.0, 0.0, -1.0);
+    }
+    let unit = n * inverseSqrt(length2);
+    return select(unit, -unit, dot(unit, here) > 0.0);
+}
+
+// Share of a pixel's light that its surroundings take, 0 to 1.
+fn occlusion(x: i32, y: i32, z: f32, n: vec3<f32>) -> f32 {
+    let here = ray_at(x, y) * z;
+    let radius = frame.radius_px * frame.pixel * z;
+    // One of 16 turns in a 4 × 4 pattern.
+    let turn = (((x & 3) * 4 + (y & 3)) * 7) & 15;
+    var sum = 0.0;
+    for (var k = 0u; k < SSAO_SAMPLES; k++) {
+        let at = spiral[u32(turn) * SSAO_SAMPLES + k] + vec2(x, y);
+        let zs = depth_at(at.x, at.y);
+        if (zs == FAR) {
+            continue;
+        }
+        let v = ray_at(at.x, at.y) * zs - here;
+        let d2 = dot(v, v);
+        let above = dot(v, n) - 0.02 * radius;
+        let fade = max(1.0 - d2 / (radius * radius), 0.0);
+        sum += max(above * inverseSqrt(d2 + 0.01 * radius * radius), 0.0) * fade;
+    }
+    return min(SSAO_STRENGTH * 2.0 * sum / f32(SSAO_SAMPLES), 0.85);
+}
+
+@compute @workgroup_size(16, 16)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= frame.width || id.y >= frame.height) {
+        return;
+    }
+    let i = id.y * frame.width + id.x;
+    let x = i32(id.x);
+    let y = i32(id.y);
+    let ray = ray_at(x, y);
+    let bits = image_depth[i];
+    if (bits == INFINITY) {
+        shaded[i] = pack(sky(ray));
+        return;
+    }
+    let color = image_color[i] | 0xff000000u;
+    if (!NORMALS && !OCCLUSION && frame.fog == 0.0) {
+        shaded[i] = color;
+        return;
+    }
+    let z = bitcast<f32>(bits);
+    var light = 1.0;
+    if (NORMALS || OCCLUSION) {
+        let n = normal(x, y, z);
+        if (NORMALS) {
+            light = AMBIENT + (1.0 - AMBIENT) * (0.25 * dot(n, frame.up) + 0.25 + 0.75 * max(dot(n, frame.sun), 0.0));
+        }
+        if (OCCLUSION) {
+            light *= 1.0 - occlusion(x, y, z, n);
+        }
+    }
+    let rgb = vec3<f32>(vec3(color, color >> 8u, color >> 16u) & vec3(255u)) / 255.0;
+    let lit = rgb * light;
+    var haze = 0.0;
+    if (frame.fog > 0.0) {
+        haze = 1.0 - exp(-z * length(ray) * frame.fog);
+    }
+    shaded[i] = pack(mix(lit, SKY_HORIZON, haze));
+}

@@ -1,0 +1,54 @@
+// What all planes and pixels of a frame share. Rust side: src/gpu/types.rs, joined field by field in its tests.
+
+struct Fan {
+    first_plane: u32,
+    n_planes: u32,
+    n_samples: u32,
+    first_sample: u32,
+    // 1: samples count against the pixel axis.
+    flip: u32,
+    // Where the fan's stripe bounds stand, or NONE where stripes are all of one width.
+    bounds: u32,
+    spacing: f32,
+    _pad0: u32,
+}
+
+struct Frame {
+    fans: array<Fan, 4>,
+    eye_cell: vec3<i32>,
+    n_planes: u32,
+    eye_fract: vec3<f32>,
+    levels: u32,
+    // The ray of pixel (x, y) in the world: origin + x·right + y·down; component along forward is 1.
+    ray_origin: vec3<f32>,
+    width: u32,
+    ray_right: vec3<f32>,
+    height: u32,
+    ray_down: vec3<f32>,
+    equidistant: f32,
+    // Lowest and highest place of any voxel above the eye, whatever the level.
+    bottom: f32,
+    top: f32,
+    // Whether x and z repeat.
+    repeat_x: u32,
+    repeat_z: u32,
+    // From the first period to the unrepeated world.
+    offset_x: i32,
+    offset_z: i32,
+    samples: u32,
+    // 1: pixels that no plane passes within half a pixel are left for gap_fill.
+    sparse: u32,
+    // Shading: see `ShadeParams`.
+    start: vec2<f32>,
+    step: vec2<f32>,
+    up: vec3<f32>,
+    pixel: f32,
+    sun: vec3<f32>,
+    radius_px: f32,
+    fog: f32,
+    normals: u32,
+    occlusion: u32,
+    view_distance: f32,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;

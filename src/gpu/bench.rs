@@ -1,0 +1,185 @@
+//! A flythrough through several kernels, timed by the device.
+
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
+use crate::options::Options;
+use crate::renderer::Outputs;
+use crate::resident::Resident;
+use planecast_encoder::Scene;
+use std::fmt;
+
+/// One kernel to measure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    pub kernel: Kernel,
+    /// See [`GpuOptions::lanes`].
+    pub lanes: Option<u32>,
+    /// Whether wgpu's runtime checks are left out.
+    pub trusted: bool,
+}
+
+/// Median, least and greatest of a stage, in milliseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Spread {
+    pub median: f64,
+    pub min: f64,
+    pub max: f64,
+}
+
+/// What one kernel took over all poses.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Line {
+    pub kernel: String,
+    pub setup: Spread,
+    pub traverse: Spread,
+    pub remap: Spread,
+    pub shade: Spread,
+    pub total: Spread,
+    /// Means over the poses.
+    pub columns: f64,
+    pub runs: f64,
+    pub spans: f64,
+}
+
+/// A table of kernels; prints as text.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Table {
+    pub device: String,
+    pub driver: String,
+    pub width: u32,
+    pub height: u32,
+    pub poses: usize,
+    pub bytes_scene_gpu: u64,
+    pub lines: Vec<Line>,
+}
+
+/// A flight of `n` poses over a scene: a loop over the world and half as far again beyond it, low and high, with the
+/// camera turning from straight down to 40 degrees up and rolling in every fifth pose. Never inside a voxel.
+pub fn poses(resident: &Resident, n: usize, width: u32, height: u32) -> Vec<Camera> {
+    let level = &resident.levels[0];
+    let (nx, nz) = (f64::from(level.nx), f64::from(level.nz));
+    let pose = |i: usize| {
+        let turn = i as f64 / n as f64 * std::f64::consts::TAU;
+        let (x, z) = (nx * (0.5 + 0.75 * turn.cos()), nz * (0.5 + 0.75 * (2.0 * turn).sin()));
+        let column = |x: f64, z: f64| {
+            let ix = z.rem_euclid(nz) as usize * level.nx as usize + x.rem_euclid(nx) as usize;
+            level.column(ix).next().map_or(0, |run| run.end())
+        };
+        let ground = f64::from(column(x, z));
+        let y = ground + 3.0 + [0.05, 0.3, 1.0][i % 3] * f64::from(level.top);
+        let pitch = [0.0, -15.0, -35.0, 10.0, -60.0, -90.0, -25.0, 40.0, -5.0, -80.0][i % 10];
+        let roll = if i % 5 == 4 { 30.0 } else { 0.0 };
+        Camera { eye: glam::DVec3::new(x, y, z), yaw: 137.5 * i as f64 % 360.0, pitch, roll, fov: 60.0, width, height }
+    };
+    (0..n).map(pose).collect()
+}
+
+fn spread(mut v: Vec<f64>) -> Spread {
+    v.sort_by(f64::total_cmp);
+    match v[..] {
+        [] => Spread::default(),
+        [first, .., last] => Spread { median: v[v.len() / 2], min: first, max: last },
+        [one] => Spread { median: one, min: one, max: one },
+    }
+}
+
+/// Draws all `poses` with each kernel, twice, and times the second round; with each frame alone on the device.
+pub fn flythrough(
+    scene: &Scene,
+    resident: &Resident,
+    poses: &[Camera],
+    options: &Options,
+    entries: &[Entry],
+) -> Result<Table> {
+    let first = poses.first();
+    let mut table = Table {
+        device: String::new(),
+        driver: String::new(),
+        width: first.map_or(0, |c| c.width),
+        height: first.map_or(0, |c| c.height),
+        poses: poses.len(),
+        bytes_scene_gpu: 0,
+        lines: Vec::new(),
+    };
+    for entry in entries {
+        let Entry { kernel, lanes, trusted } = *entry;
+        let mut gpu =
+            GpuRenderer::new(scene, resident, GpuOptions { kernel, lanes, trusted, ..GpuOptions::default() })?;
+        (table.device, table.driver) = (gpu.device().0.into(), gpu.device().1.into());
+        let mut times = Vec::new();
+        let mut work = [0.0; 3];
+        for round in 0..2 {
+            for camera in poses {
+                let frame = gpu.render(camera, options, Outputs::default())?;
+                if round == 0 {
+                    continue;
+                }
+                times.push(frame.stats.gpu_ms.expect("frames of the GPU say what they took"));
+                table.bytes_scene_gpu = frame.stats.bytes_scene_gpu;
+                let stats = [frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn];
+                for (sum, n) in work.iter_mut().zip(stats) {
+                    *sum += n as f64 / poses.len() as f64;
+                }
+            }
+        }
+        let of = |stage: fn(&crate::frame::StageTimes) -> f64| spread(times.iter().map(stage).collect());
+        let mut name = kernel.name().to_string();
+        if let Some(lanes) = lanes {
+            name += &format!(" {lanes}");
+        }
+        if !trusted {
+            name += " checked";
+        }
+        table.lines.push(Line {
+            kernel: name,
+            setup: of(|t| t.setup),
+            traverse: of(|t| t.traverse),
+            remap: of(|t| t.remap),
+            shade: of(|t| t.shade),
+            total: of(|t| t.total),
+            columns: work[0],
+            runs: work[1],
+            spans: work[2],
+        });
+    }
+    Ok(table)
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{} ({}), {} × {}, {} poses, scene {} MiB",
+            self.device,
+            self.driver,
+            self.width,
+            self.height,
+            self.poses,
+            self.bytes_scene_gpu >> 20
+        )?;
+        writeln!(
+            f,
+            "{:24} {:>23} {:>8} {:>8} {:>8} {:>8} {:>10} {:>10} {:>10}",
+            "kernel (median ms)", "traverse (min–max)", "remap", "shade", "total", "setup", "columns", "runs", "spans"
+        )?;
+        for l in &self.lines {
+            writeln!(
+                f,
+                "{:24} {:7.3} ({:.3}–{:.3}) {:8.3} {:8.3} {:8.3} {:8.3} {:10.0} {:10.0} {:10.0}",
+                l.kernel,
+                l.traverse.median,
+                l.traverse.min,
+                l.traverse.max,
+                l.remap.median,
+                l.shade.median,
+                l.total.median,
+                l.setup.median,
+                l.columns,
+                l.runs,
+                l.spans
+            )?;
+        }
+        Ok(())
+    }
+}

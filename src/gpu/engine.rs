@@ -1,0 +1,184 @@
+//! Adapter, device, pipelines and timestamps: everything of wgpu that is not a stage.
+
+use crate::error::{Error, Result};
+use crate::gpu::shaders::{self, Variant};
+use std::collections::HashMap;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex};
+
+/// A device and its compiled pipelines.
+pub struct Engine {
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    pub limits: wgpu::Limits,
+    /// The adapter's name and driver.
+    pub name: String,
+    pub driver: String,
+    /// Nanoseconds a timestamp tick; `None` where the device has no timestamps.
+    pub tick_ns: Option<f32>,
+    trusted: bool,
+    pipelines: HashMap<String, Rc<Pipeline>>,
+    /// The first error that the device reported outside any scope, or why it was lost.
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+/// A compiled shader and the buffers it binds.
+pub struct Pipeline {
+    pub pipeline: wgpu::ComputePipeline,
+    pub bindings: Vec<(u32, String)>,
+}
+
+impl Engine {
+    /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`, `WGPU_BACKEND`), else the most powerful.
+    pub fn new(trusted: bool) -> Result<Engine> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        let named = std::env::var_os("WGPU_ADAPTER_NAME").is_some();
+        let adapter = if named {
+            pollster::block_on(wgpu::util::initialize_adapter_from_env(&instance, None))
+        } else {
+            pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
+                power_preference: wgpu::PowerPreference::HighPerformance,
+                ..wgpu::RequestAdapterOptions::default()
+            }))
+        };
+        let adapter = adapter.map_err(|e| {
+            Error::Device(format!(
+                "no usable GPU adapter ({e}): install a Vulkan, Metal or DX12 driver, or try --device cpu"
+            ))
+        })?;
+        let info = adapter.get_info();
+        let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
+        // All that the adapter has: scenes and pictures are checked against it, not against the portable defaults.
+        let limits = adapter.limits();
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("planecast"),
+            required_features: features,
+            required_limits: limits.clone(),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..wgpu::DeviceDescriptor::default()
+        }))
+        .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
+        let failure = Arc::new(Mutex::new(None));
+        let note = |failure: &Arc<Mutex<Option<String>>>, text: String| {
+            failure.lock().unwrap_or_else(|e| e.into_inner()).get_or_insert(text);
+        };
+        let seen = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| note(&seen, one_line(&e.to_string()))));
+        let seen = failure.clone();
+        device.set_device_lost_callback(move |reason, text| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                note(&seen, format!("device lost: {}", one_line(&text)));
+            }
+        });
+        let tick_ns = features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
+        let driver = format!("{} {}", info.driver, info.driver_info).trim().to_string();
+        Ok(Engine {
+            device,
+            queue,
+            limits,
+            name: info.name,
+            driver,
+            tick_ns,
+            trusted,
+            pipelines: HashMap::new(),
+            failure,
+        })
+    }
+
+    /// An error if the device reported one since it was opened.
+    pub fn check(&self) -> Result<()> {
+        match &*self.failure.lock().unwrap_or_else(|e| e.into_inner()) {
+            Some(text) => Err(Error::Device(format!("{}: {text}; try --device cpu", self.name))),
+            None => Ok(()),
+        }
+    }
+
+    /// A buffer that can be written and read back whole.
+    pub fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: size.next_multiple_of(16),
+            usage: usage | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Runs `make`, which asks for device memory; an error where the device has not got it.
+    pub fn checked<T>(&self, what: &str, make: impl FnOnce() -> T) -> Result<T> {
+        let invalid = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let made = make();
+        let memory = pollster::block_on(memory.pop());
+        let invalid = pollster::block_on(invalid.pop());
+        match memory.or(invalid) {
+            None => Ok(made),
+            Some(e) => Err(Error::Limit(format!(
+                "{what}: {} cannot hold it ({}); try --device cpu",
+                self.name,
+                one_line(&e.to_string())
+            ))),
+        }
+    }
+
+    /// Waits until all that was submitted is done.
+    pub fn flush(&self) -> Result<()> {
+        self.queue.submit([]);
+        self.wait(None)
+    }
+
+    /// Waits for one submission, or for the latest.
+    pub fn wait(&self, submission: Option<wgpu::SubmissionIndex>) -> Result<()> {
+        self.device
+            .poll(wgpu::PollType::Wait { submission_index: submission, timeout: None })
+            .map_err(|e| Error::Device(format!("{}: {e}; try --device cpu", self.name)))?;
+        self.check()
+    }
+
+    /// The pipeline of a shader variant with its constants, compiled at first use.
+    pub fn pipeline(&mut self, name: &str, variant: &Variant, constants: &[(&str, f64)]) -> Result<Rc<Pipeline>> {
+        let key = format!("{name} {variant:?} {constants:?}");
+        if let Some(pipeline) = self.pipelines.get(&key) {
+            return Ok(pipeline.clone());
+        }
+        let source = shaders::assemble(name, variant);
+        let bindings =
+            shaders::bindings(&source).unwrap_or_else(|e| panic!("shader {name} is part of the program\n{e}"));
+        let module = self.module(name, source);
+        let pipeline = self.checked(&format!("shader {name}"), || {
+            self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(name),
+                layout: None,
+                module: &module,
+                entry_point: Some("main"),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants,
+                    // Kernels set what they read.
+                    zero_initialize_workgroup_memory: false,
+                },
+                cache: None,
+            })
+        })?;
+        let pipeline = Rc::new(Pipeline { pipeline, bindings });
+        self.pipelines.insert(key, pipeline.clone());
+        Ok(pipeline)
+    }
+
+    /// A shader module; the one place where wgpu's runtime checks may be left out.
+    fn module(&self, name: &str, source: String) -> wgpu::ShaderModule {
+        let descriptor =
+            wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(source.into()) };
+        if !self.trusted {
+            return self.device.create_shader_module(descriptor);
+        }
+        // SAFETY: the shaders are this crate's own. Every index they form comes from a `Resident`, whose positions
+        // come from validated `Columns`, or from a `Setup`, whose windows lie within the buffers that `GpuRenderer`
+        // sizes by it; loops end because each turn moves on along a plane, a column's runs or a fixed count. A test
+        // draws the same pictures with the checks on.
+        unsafe { self.device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
+    }
+}
+
+/// wgpu's errors fill a page; their first lines say what matters.
+fn one_line(text: &str) -> String {
+    text.lines().map(str::trim).filter(|l| !l.is_empty()).take(3).collect::<Vec<_>>().join(": ")
+}

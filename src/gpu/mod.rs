@@ -1,0 +1,705 @@
+//! The stages on the GPU, through wgpu compute shaders. A frame stays on the device from camera to shaded picture.
+//!
+//! [`crate::plane_setup`] runs on the host, in f64, for both twins. The shaders in `shaders/` are the twins of
+//! [`crate::cpu`]; [`Kernel`] says how `traverse` is spread over the device. Scene tables and frames are checked against
+//! the adapter's limits before memory is asked for.
+
+pub mod bench;
+mod engine;
+mod resident;
+pub mod shaders;
+pub mod types;
+
+use crate::camera::Camera;
+use crate::cpu::shade;
+use crate::cpu::traverse::PlaneBuffer;
+use crate::error::{Error, Result};
+use crate::frame::{Frame, StageTimes};
+use crate::options::{Options, Remap, Shading};
+use crate::plane_setup::{Setup, plane_setup};
+use crate::renderer::{Outputs, check, frame_stats, inside_solid};
+use crate::resident::Resident;
+use engine::{Engine, Pipeline};
+use planecast_encoder::Scene;
+use resident::GpuResident;
+use shaders::Variant;
+use std::collections::{HashMap, VecDeque};
+use std::sync::mpsc;
+use std::time::Instant;
+use types::{FrameParams, Upload};
+
+/// How `traverse` is spread over the device. All draw the same picture but for float rounding.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Kernel {
+    /// One plane per invocation: the paper's mapping.
+    Invocation,
+    /// One plane per workgroup: all lanes walk slices of the plane's ray at once.
+    #[default]
+    Workgroup,
+    /// One ray per pixel over the same tables and levels: the baseline.
+    Raycast,
+}
+
+impl Kernel {
+    pub const ALL: [Kernel; 3] = [Kernel::Invocation, Kernel::Workgroup, Kernel::Raycast];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Kernel::Invocation => "invocation",
+            Kernel::Workgroup => "workgroup",
+            Kernel::Raycast => "raycast",
+        }
+    }
+}
+
+impl std::str::FromStr for Kernel {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Kernel> {
+        Kernel::ALL.into_iter().find(|k| k.name() == name).ok_or_else(|| {
+            Error::Argument(format!("kernel {name}: must be one of {}", Kernel::ALL.map(Kernel::name).join(", ")))
+        })
+    }
+}
+
+/// What a renderer is made with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GpuOptions {
+    /// `workgroup` unless another is asked for: it was the fastest on every device and scene measured, since it alone has
+    /// work for more lanes than there are planes.
+    pub kernel: Kernel,
+    /// Leaves out wgpu's runtime checks of the shaders. Scenes are validated before they become a [`Resident`].
+    pub trusted: bool,
+    /// Lanes of a workgroup: 32, 64, 128 or 256 for `workgroup`, a power of two up to 64 for `invocation`; `None` for the
+    /// kernel's own.
+    pub lanes: Option<u32>,
+    /// Frames that may be on their way at once between [`GpuRenderer::submit`] and [`GpuRenderer::collect`].
+    pub in_flight: usize,
+}
+
+impl Default for GpuOptions {
+    fn default() -> GpuOptions {
+        GpuOptions { kernel: Kernel::Workgroup, trusted: !cfg!(debug_assertions), lanes: None, in_flight: 3 }
+    }
+}
+
+/// Draws frames of one scene on the GPU.
+pub struct GpuRenderer<'a> {
+    scene: &'a Scene,
+    resident: &'a Resident,
+    options: GpuOptions,
+    engine: Engine,
+    tables: GpuResident,
+    buffers: HashMap<&'static str, wgpu::Buffer>,
+    queries: Option<wgpu::QuerySet>,
+    pending: VecDeque<Pending>,
+    /// Read-back buffers that no frame is using.
+    free: Vec<wgpu::Buffer>,
+}
+
+/// Where a frame begins.
+#[derive(Clone, Copy)]
+pub enum Begin<'b> {
+    Traverse,
+    /// With `remap`: planes as `traverse` leaves them.
+    Planes(&'b PlaneBuffer),
+    /// With `shade`: packed colours and depths as `remap` leaves them.
+    Image {
+        color: &'b [u32],
+        depth: &'b [f32],
+    },
+}
+
+/// A frame on its way.
+enum Pending {
+    /// Nothing was left to draw.
+    Done(Box<Frame>),
+    Drawing(Box<Drawing>),
+}
+
+struct Drawing {
+    frame: Frame,
+    start: Instant,
+    submission: wgpu::SubmissionIndex,
+    mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
+    readback: wgpu::Buffer,
+    parts: Parts,
+    setup_ms: f64,
+}
+
+/// Where things stand in a read-back buffer, in bytes.
+#[derive(Clone, Copy, Default)]
+struct Parts {
+    color: u64,
+    depth: u64,
+    voxel: u64,
+    counters: u64,
+    holes: u64,
+    times: u64,
+    end: u64,
+}
+
+/// Timestamps: begin and end of traverse, remap and shade.
+const TIMES: u32 = 6;
+
+/// A size in pixels or planes over groups of `by`.
+fn groups(n: u32, by: u32) -> u32 {
+    n.div_ceil(by)
+}
+
+/// Workgroups of one dimension: wgpu allows 65,535.
+const GROUPS_A_ROW: u32 = 32_768;
+
+impl<'a> GpuRenderer<'a> {
+    /// Opens the adapter and uploads the scene. Without a usable adapter, or where the scene does not fit, the error says
+    /// so.
+    pub fn new(scene: &'a Scene, resident: &'a Resident, options: GpuOptions) -> Result<GpuRenderer<'a>> {
+        if let Some(lanes) = options.lanes {
+            let allowed: &[u32] =
+                if options.kernel == Kernel::Invocation { &[1, 2, 4, 8, 16, 32, 64] } else { &[32, 64, 128, 256] };
+            if !allowed.contains(&lanes) {
+                return Err(Error::Argument(format!(
+                    "{lanes} lanes a workgroup: kernel {} takes {allowed:?}",
+                    options.kernel.name()
+                )));
+            }
+        }
+        let engine = Engine::new(options.trusted)?;
+        let tables = GpuResident::new(&engine, resident)?;
+        let queries = engine.tick_ns.map(|_| {
+            engine.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("stages"),
+                ty: wgpu::QueryType::Timestamp,
+                count: TIMES,
+            })
+        });
+        let (buffers, pending, free) = (HashMap::new(), VecDeque::new(), Vec::new());
+        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free })
+    }
+
+    /// The adapter's name, and its driver.
+    pub fn device(&self) -> (&str, &str) {
+        (&self.engine.name, &self.engine.driver)
+    }
+
+    /// Takes another kernel from the next frame on.
+    pub fn set_kernel(&mut self, kernel: Kernel, lanes: Option<u32>) {
+        (self.options.kernel, self.options.lanes) = (kernel, lanes);
+    }
+
+    /// Draws one frame. Frames submitted before are drawn first and must have been collected.
+    pub fn render(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
+        assert!(self.pending.is_empty(), "frames on their way must be collected first");
+        self.submit(camera, options, outputs)?;
+        self.collect().expect("a frame was submitted")
+    }
+
+    /// Frames submitted and not yet collected.
+    pub fn in_flight(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Whether [`GpuRenderer::submit`] would keep more frames on their way than [`GpuOptions::in_flight`] allows.
+    pub fn is_full(&self) -> bool {
+        self.pending.len() >= self.options.in_flight.max(1)
+    }
+
+    /// The oldest frame on its way, once it is done; `None` where there is none.
+    pub fn collect(&mut self) -> Option<Result<Frame>> {
+        Some(match self.pending.pop_front()? {
+            Pending::Done(frame) => Ok(*frame),
+            Pending::Drawing(drawing) => self.finish(*drawing),
+        })
+    }
+
+    /// Sends one frame to the device and returns at once; [`GpuRenderer::collect`] gives frames in the order of submission.
+    pub fn submit(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
+        self.submit_from(Begin::Traverse, camera, options, outputs)
+    }
+
+    /// Draws one frame from what an earlier stage left, on the CPU perhaps: to compare stages one by one.
+    pub fn render_from(
+        &mut self,
+        begin: Begin<'_>,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+    ) -> Result<Frame> {
+        self.submit_from(begin, camera, options, outputs)?;
+        self.collect().expect("a frame was submitted")
+    }
+
+    /// What `traverse` left of the latest frame, `samples` long; voxels only where the frame needed them.
+    pub fn plane_buffer(&self, samples: usize, voxels: bool) -> Result<PlaneBuffer> {
+        let read = |name: &str, size: u64| -> Result<Vec<u8>> {
+            let copy = self.engine.checked("read-back buffer", || {
+                self.engine.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("read-back"),
+                    size,
+                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                    mapped_at_creation: false,
+                })
+            })?;
+            let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            encoder.copy_buffer_to_buffer(&self.buffers[name], 0, &copy, 0, size);
+            let submission = self.engine.queue.submit([encoder.finish()]);
+            copy.map_async(wgpu::MapMode::Read, .., |_| {});
+            self.engine.wait(Some(submission))?;
+            let bytes = copy.get_mapped_range(..).map_err(|e| Error::Device(e.to_string()))?;
+            Ok(bytes.to_vec())
+        };
+        let n = samples as u64;
+        Ok(PlaneBuffer {
+            color: bytemuck::pod_collect_to_vec(&read("plane_color", 4 * n)?),
+            depth: bytemuck::pod_collect_to_vec(&read("plane_depth", 4 * n)?),
+            voxel: if voxels { bytemuck::pod_collect_to_vec(&read("plane_voxel", 16 * n)?) } else { Vec::new() },
+        })
+    }
+
+    fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
+        check(camera, options)?;
+        let start = Instant::now();
+        if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
+            frame.stats.device = self.engine.name.clone();
+            frame.stats.cpu_ms = None;
+            frame.stats.gpu_ms = Some(StageTimes::default());
+            frame.stats.bytes_scene_gpu = self.tables.bytes;
+            self.pending.push_back(Pending::Done(Box::new(frame)));
+            return Ok(());
+        }
+        let setup = plane_setup(self.resident, camera, options);
+        let upload = Upload::new(self.resident, &setup, camera, options);
+        let plan = Plan::new(&setup, camera, options, outputs, &self.options, &self.engine);
+        self.reserve(&plan)?;
+        self.upload(&upload, camera);
+
+        let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        match begin {
+            Begin::Traverse => {
+                self.traverse(&mut encoder, &plan, options)?;
+                self.remap(&mut encoder, &plan)?;
+            }
+            Begin::Planes(buffer) => {
+                self.write("plane_color", bytemuck::cast_slice(&buffer.color));
+                self.write("plane_depth", bytemuck::cast_slice(&buffer.depth));
+                self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
+                self.remap(&mut encoder, &plan)?;
+            }
+            Begin::Image { color, depth } => {
+                self.write("image_color", bytemuck::cast_slice(color));
+                self.write("image_depth", bytemuck::cast_slice(depth));
+            }
+        }
+        self.shade(&mut encoder, &plan)?;
+        if let Some(queries) = &self.queries {
+            encoder.resolve_query_set(queries, 0..TIMES, &self.buffers["times"], 0);
+        }
+        self.engine.queue.submit([encoder.finish()]);
+        let setup_ms = start.elapsed().as_secs_f64() * 1e3;
+
+        let mut frame = Frame {
+            width: camera.width,
+            height: camera.height,
+            color: Vec::new(),
+            depth: Vec::new(),
+            voxel: Vec::new(),
+            stats: frame_stats(self.scene, self.resident, camera, options, &self.engine.name, plan.kernel.name()),
+        };
+        frame.stats.planes = setup.planes.len() as u32;
+        frame.stats.planes_full = setup.planes_full;
+        frame.stats.levels_drawn = setup.levels;
+        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        self.read_back(&plan, frame, start, setup_ms)
+    }
+}
+
+/// A frame's sizes and variants.
+struct Plan {
+    kernel: Kernel,
+    width: u32,
+    height: u32,
+    n_planes: u32,
+    samples: u64,
+    /// Samples of the longest plane.
+    longest: u32,
+    lanes: u32,
+    /// Visibility bits or keys stand in a storage buffer: they do not fit in workgroup memory.
+    spill: bool,
+    /// Words of bits, or keys, a plane.
+    words: u32,
+    /// Planes write voxels; the picture has them.
+    plane_voxel: bool,
+    image_voxel: bool,
+    retest: bool,
+    sparse: bool,
+    gap_fill: bool,
+    n_counters: u32,
+    shading: Shading,
+}
+
+impl Plan {
+    fn new(
+        setup: &Setup,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+        gpu: &GpuOptions,
+        engine: &Engine,
+    ) -> Plan {
+        let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
+        // Planes at most a pixel apart reach every pixel.
+        let sparse = setup.is_sparse();
+        let longest = setup.fans.iter().filter(|f| f.n_planes > 0).map(|f| f.n_samples).max().unwrap_or(0).max(1);
+        let memory = engine.limits.max_compute_workgroup_storage_size;
+        let most = engine.limits.max_compute_invocations_per_workgroup;
+        let mut plan = Plan {
+            kernel: gpu.kernel,
+            width: camera.width,
+            height: camera.height,
+            n_planes: setup.planes.len() as u32,
+            samples: setup.samples as u64,
+            longest,
+            lanes: 0,
+            spill: false,
+            words: 0,
+            plane_voxel: outputs.voxel || retest,
+            image_voxel: outputs.voxel,
+            retest: retest && (!sparse || options.gap_fill),
+            sparse,
+            gap_fill: options.gap_fill,
+            n_counters: 0,
+            shading: options.shading,
+        };
+        match gpu.kernel {
+            Kernel::Invocation => {
+                plan.words = longest.div_ceil(32);
+                plan.lanes = gpu.lanes.unwrap_or(32).min(most);
+                while plan.lanes > 1 && plan.lanes * plan.words * 4 > memory {
+                    plan.lanes /= 2;
+                }
+                plan.spill = plan.words * 4 * plan.lanes > memory;
+                plan.n_counters = plan.n_planes;
+            }
+            Kernel::Workgroup => {
+                plan.lanes = gpu.lanes.unwrap_or(128).min(most);
+                // In steps, so that few sizes make few pipelines.
+                let fine = longest.next_multiple_of(256);
+                plan.words = fine + fine / 16;
+                plan.spill = plan.words * 4 + 2048 > memory;
+                plan.n_counters = plan.n_planes;
+            }
+            Kernel::Raycast => {
+                plan.lanes = 8;
+                plan.n_counters = groups(plan.width, 8) * groups(plan.height, 8);
+            }
+        }
+        plan
+    }
+
+    fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+
+    fn fine(&self) -> u32 {
+        self.longest.next_multiple_of(256)
+    }
+
+    fn gathers(&self) -> bool {
+        self.sparse && !self.retest && self.kernel != Kernel::Raycast
+    }
+
+    fn parts(&self) -> Parts {
+        let mut at = 0u64;
+        let mut take = |bytes: u64| {
+            let from = at;
+            at += bytes.next_multiple_of(16);
+            from
+        };
+        Parts {
+            color: take(4 * self.pixels()),
+            depth: take(4 * self.pixels()),
+            voxel: take(if self.image_voxel { 16 * self.pixels() } else { 0 }),
+            counters: take(12 * u64::from(self.n_counters)),
+            holes: take(4),
+            times: take(8 * u64::from(TIMES)),
+            end: at,
+        }
+    }
+}
+
+impl GpuRenderer<'_> {
+    /// Makes sure that every buffer of a frame exists and is long enough.
+    fn reserve(&mut self, plan: &Plan) -> Result<()> {
+        use wgpu::BufferUsages as U;
+        let pixels = plan.pixels();
+        let planes = if plan.kernel == Kernel::Raycast { 0 } else { plan.samples };
+        let plane_voxel = if plan.plane_voxel { planes } else { 0 };
+        let image_voxel = if plan.image_voxel { pixels } else { 0 };
+        let index = if plan.gathers() { pixels } else { 0 };
+        let spill = if plan.spill { 4 * u64::from(plan.words) * u64::from(plan.n_planes) } else { 0 };
+        let sizes = [
+            ("frame", size_of::<FrameParams>() as u64, U::UNIFORM),
+            ("times", 8 * u64::from(TIMES), U::QUERY_RESOLVE),
+            ("planes", u64::from(plan.n_planes) * size_of::<types::Plane>() as u64, U::STORAGE),
+            ("lines", u64::from(plan.height + 2 * plan.width) * size_of::<types::Line>() as u64, U::STORAGE),
+            ("bounds", 16 * u64::from(plan.n_planes + 2), U::STORAGE),
+            ("spiral", 8 * 16 * u64::from(shade::SSAO_SAMPLES), U::STORAGE),
+            ("plane_color", 4 * planes, U::STORAGE),
+            ("plane_depth", 4 * planes, U::STORAGE),
+            ("plane_voxel", 16 * plane_voxel, U::STORAGE),
+            ("image_color", 4 * pixels, U::STORAGE),
+            ("image_depth", 4 * pixels, U::STORAGE),
+            ("image_voxel", 16 * image_voxel, U::STORAGE),
+            ("shaded", 4 * pixels, U::STORAGE),
+            ("index", 4 * index, U::STORAGE),
+            ("filled", 4 * index, U::STORAGE),
+            ("holes", 4, U::STORAGE),
+            ("counters", 12 * u64::from(plan.n_counters), U::STORAGE),
+            ("spill", spill, U::STORAGE),
+        ];
+        let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
+        for (name, size, usage) in sizes {
+            let size = size.max(64);
+            if self.buffers.get(name).is_some_and(|b| b.size() >= size) {
+                continue;
+            }
+            if size > limit {
+                return Err(Error::Limit(format!(
+                    "image of {} × {} pixels: {name} takes {} MiB, {} allows {} MiB (max_storage_buffer_binding_size); \
+                     try a smaller --size or --device cpu",
+                    plan.width,
+                    plan.height,
+                    size >> 20,
+                    self.engine.name,
+                    limit >> 20
+                )));
+            }
+            let buffer = self.engine.checked(&format!("{name} of {} MiB", size.div_ceil(1 << 20)), || {
+                self.engine.buffer(name, size, usage)
+            })?;
+            self.buffers.insert(name, buffer);
+        }
+        Ok(())
+    }
+
+    fn upload(&self, upload: &Upload, camera: &Camera) {
+        self.write("frame", bytemuck::bytes_of(&upload.frame));
+        self.write("planes", bytemuck::cast_slice(&upload.planes));
+        self.write("lines", bytemuck::cast_slice(&upload.lines));
+        self.write("bounds", bytemuck::cast_slice(&upload.bounds));
+        self.write("holes", &[0; 4]);
+        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera))));
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) {
+        if !bytes.is_empty() {
+            self.engine.queue.write_buffer(&self.buffers[name], 0, bytes);
+        }
+    }
+
+    /// Records one dispatch. `names` maps what a shader calls a buffer to what it is called here, where that differs.
+    fn dispatch(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        pipeline: &Pipeline,
+        names: &[(&str, &str)],
+        [x, y]: [u32; 2],
+    ) {
+        let entries: Vec<_> = pipeline
+            .bindings
+            .iter()
+            .map(|(binding, name)| {
+                let name = names.iter().find(|(own, _)| own == name).map_or(name.as_str(), |(_, here)| here);
+                let buffer = self.tables.buffer(name).or_else(|| self.buffers.get(name));
+                let buffer =
+                    buffer.unwrap_or_else(|| unreachable!("shaders name only buffers that `reserve` makes: {name}"));
+                wgpu::BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() }
+            })
+            .collect();
+        let group = self.engine.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.pipeline.get_bind_group_layout(0),
+            entries: &entries,
+        });
+        pass.set_pipeline(&pipeline.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(x, y, 1);
+    }
+
+    fn pass<'e>(&self, encoder: &'e mut wgpu::CommandEncoder, label: &str, stage: u32) -> wgpu::ComputePass<'e> {
+        encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(label),
+            timestamp_writes: self.queries.as_ref().map(|query_set| wgpu::ComputePassTimestampWrites {
+                query_set,
+                beginning_of_pass_write_index: Some(2 * stage),
+                end_of_pass_write_index: Some(2 * stage + 1),
+            }),
+        })
+    }
+
+    fn variant(&self, defines: &[&'static str]) -> Variant {
+        Variant { defines: defines.to_vec(), pages: self.tables.pages }
+    }
+
+    fn traverse(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan, options: &Options) -> Result<()> {
+        let on = |b: bool| f64::from(u8::from(b));
+        let culling = options.culling;
+        let voxel = if plan.kernel == Kernel::Raycast { plan.image_voxel } else { plan.plane_voxel };
+        let mut constants = vec![
+            ("PAINT", f64::from(self.tables.paint)),
+            ("VOXEL", on(voxel)),
+            ("COARSE", on(culling.coarse)),
+            ("WIDTH", f64::from(plan.lanes)),
+        ];
+        let (name, defines, groups): (_, &[&'static str], _) = match plan.kernel {
+            Kernel::Invocation => {
+                constants.extend([
+                    ("HORIZON", on(culling.horizon)),
+                    ("CENTER", on(culling.center)),
+                    ("FORWARD", on(culling.forward)),
+                    ("BITS", on(culling.bits)),
+                    ("WORDS", f64::from(plan.words)),
+                ]);
+                let defines: &[_] = if plan.spill { &["STORAGE_BITS"] } else { &[] };
+                ("traverse_invocation", defines, [groups(plan.n_planes, plan.lanes), 1])
+            }
+            Kernel::Workgroup => {
+                constants.extend([
+                    ("HORIZON", on(culling.horizon)),
+                    ("FINE", f64::from(plan.fine())),
+                    ("ROUGH", f64::from(plan.fine() / 16)),
+                ]);
+                let defines: &[_] = if plan.spill { &["STORAGE_KEYS"] } else { &[] };
+                let x = plan.n_planes.min(GROUPS_A_ROW);
+                ("traverse_workgroup", defines, [x, groups(plan.n_planes, x.max(1))])
+            }
+            Kernel::Raycast => ("raycast", &[], [groups(plan.width, 8), groups(plan.height, 8)]),
+        };
+        let pipeline = self.engine.pipeline(name, &self.variant(defines), &constants)?;
+        let mut pass = self.pass(encoder, "traverse", 0);
+        self.dispatch(&mut pass, &pipeline, &[("bits", "spill"), ("keys", "spill")], groups);
+        Ok(())
+    }
+
+    fn remap(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
+        let grid = [groups(plan.width, 16), groups(plan.height, 16)];
+        let variant = self.variant(&[]);
+        let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
+        let mut remap = |constants: &[(&str, f64)]| self.engine.pipeline("remap", &variant, constants);
+        if plan.kernel == Kernel::Raycast {
+            drop(self.pass(encoder, "remap", 1));
+            return Ok(());
+        }
+        if !plan.gathers() {
+            let pipeline = remap(&[voxel, ("RETEST", f64::from(u8::from(plan.retest)))])?;
+            let mut pass = self.pass(encoder, "remap", 1);
+            self.dispatch(&mut pass, &pipeline, &[], grid);
+            return Ok(());
+        }
+        let index = remap(&[voxel, ("INDEX", 1.0)])?;
+        let gather = remap(&[voxel, ("GATHER", 1.0)])?;
+        let fill = self.engine.pipeline("gap_fill", &variant, &[])?;
+        let mut pass = self.pass(encoder, "remap", 1);
+        self.dispatch(&mut pass, &index, &[], grid);
+        if plan.gap_fill {
+            self.dispatch(&mut pass, &fill, &[("before", "index"), ("index", "filled")], grid);
+        }
+        let chosen = if plan.gap_fill { "filled" } else { "index" };
+        self.dispatch(&mut pass, &gather, &[("index", chosen)], grid);
+        Ok(())
+    }
+
+    fn shade(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
+        let normals = matches!(plan.shading, Shading::Ssn | Shading::Full);
+        let occlusion = matches!(plan.shading, Shading::Ssao | Shading::Full);
+        let constants = [("NORMALS", f64::from(u8::from(normals))), ("OCCLUSION", f64::from(u8::from(occlusion)))];
+        let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
+        let mut pass = self.pass(encoder, "shade", 2);
+        self.dispatch(&mut pass, &pipeline, &[], [groups(plan.width, 16), groups(plan.height, 16)]);
+        Ok(())
+    }
+
+    /// Copies what is asked for into a read-back buffer and asks for it to be mapped; does not wait.
+    fn read_back(&mut self, plan: &Plan, frame: Frame, start: Instant, setup_ms: f64) -> Result<()> {
+        let parts = plan.parts();
+        let place = self.free.iter().position(|b| b.size() >= parts.end);
+        let readback = match place {
+            Some(i) => self.free.swap_remove(i),
+            None => {
+                self.free.clear();
+                self.engine.checked(&format!("read-back buffer of {} MiB", parts.end >> 20), || {
+                    self.engine.device.create_buffer(&wgpu::BufferDescriptor {
+                        label: Some("read-back"),
+                        size: parts.end,
+                        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                        mapped_at_creation: false,
+                    })
+                })?
+            }
+        };
+        // A submission of its own: timestamps copied in the one that resolves them can read 0 (wgpu issue 6406).
+        let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut copy = |name: &str, at: u64, bytes: u64| {
+            if bytes > 0 {
+                encoder.copy_buffer_to_buffer(&self.buffers[name], 0, &readback, at, bytes);
+            }
+        };
+        copy("shaded", parts.color, 4 * plan.pixels());
+        copy("image_depth", parts.depth, 4 * plan.pixels());
+        copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * plan.pixels() } else { 0 });
+        copy("counters", parts.counters, 12 * u64::from(plan.n_counters));
+        copy("holes", parts.holes, 4);
+        copy("times", parts.times, 8 * u64::from(TIMES));
+        let submission = self.engine.queue.submit([encoder.finish()]);
+        let (send, mapped) = mpsc::channel();
+        readback.map_async(wgpu::MapMode::Read, ..parts.end, move |result| {
+            // The renderer may be gone by now: then nobody waits for the answer.
+            let _ = send.send(result);
+        });
+        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
+        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
+        Ok(())
+    }
+
+    fn finish(&mut self, drawing: Drawing) -> Result<Frame> {
+        let Drawing { mut frame, start, submission, mapped, readback, parts, setup_ms } = drawing;
+        self.engine.wait(Some(submission))?;
+        let lost = |e: String| {
+            Error::Device(format!("{}: cannot read the frame back ({e}); try --device cpu", self.engine.name))
+        };
+        mapped.recv().map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
+        {
+            let bytes = readback.get_mapped_range(..parts.end).map_err(|e| lost(e.to_string()))?;
+            let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
+            let pixels = frame.width as usize * frame.height as usize;
+            frame.color = bytemuck::cast_slice(part(parts.color, 4 * pixels)).to_vec();
+            frame.depth = bytemuck::cast_slice(part(parts.depth, 4 * pixels)).to_vec();
+            if parts.counters > parts.voxel {
+                frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
+            }
+            let counters: &[[u32; 3]] = bytemuck::cast_slice(
+                &bytes[parts.counters as usize
+                    ..parts.counters as usize + (parts.holes - parts.counters) as usize / 12 * 12],
+            );
+            let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
+            (frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn) = (sum(0), sum(1), sum(2));
+            frame.stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
+            let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
+            frame.stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+        }
+        readback.unmap();
+        self.free.push(readback);
+        Ok(frame)
+    }
+
+    /// Milliseconds by stage; without timestamps only what the host sees.
+    fn stage_times(&self, times: &[u64], setup: f64, start: Instant) -> StageTimes {
+        let Some(tick) = self.engine.tick_ns else {
+            return StageTimes { setup, total: start.elapsed().as_secs_f64() * 1e3, ..StageTimes::default() };
+        };
+        // Some drivers order timestamps wrongly (wgpu issue 5660).
+        let between = |from: u64, to: u64| to.saturating_sub(from) as f64 * f64::from(tick) * 1e-6;
+        let stage = |s: usize| between(times[2 * s], times[2 * s + 1]);
+        StageTimes { setup, traverse: stage(0), remap: stage(1), shade: stage(2), total: between(times[0], times[5]) }
+    }
+}

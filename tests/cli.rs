@@ -1,0 +1,202 @@
+//! The `planecast` command from outside: what it writes, says and returns.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use planecast_encoder::{BuildOptions, Colors, ColumnsBuilder, Input, Run, build, write::write_scene};
+
+/// A folder with `hills.pcast`, a coloured 48 × 20 × 40 terrain.
+fn workplace() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let mut columns = ColumnsBuilder::new(48, 20, 40);
+    let mut colors = Vec::new();
+    for z in 0..40u16 {
+        for x in 0..48u16 {
+            columns.push_run(Run::new(0, 2 + (x * 7 + z * 3) % 11));
+            columns.end_column();
+            colors.push([x as u8 * 5, 128, z as u8 * 6]);
+        }
+    }
+    let input = Input { columns: columns.finish(), colors: Colors::Column(colors), notes: Vec::new() };
+    let scene = build(input, &BuildOptions::default()).unwrap();
+    write_scene(&scene, &dir.path().join("hills.pcast")).unwrap();
+    dir
+}
+
+fn planecast(dir: &Path, line: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planecast")).args(line.split_whitespace()).current_dir(dir).output().unwrap()
+}
+
+/// Runs a command that must fail: its exit status and the one line it says.
+fn fails(dir: &Path, line: &str) -> (i32, String) {
+    let output = planecast(dir, line);
+    let text = String::from_utf8(output.stderr).unwrap();
+    let said: Vec<&str> = text.lines().filter(|l| !l.starts_with("drawing on")).collect();
+    assert!(output.stdout.is_empty() && said.len() == 1 && said[0].starts_with("planecast: "), "{line}: {text}");
+    (output.status.code().unwrap(), said[0]["planecast: ".len()..].to_string())
+}
+
+fn succeeds(dir: &Path, line: &str) -> String {
+    let output = planecast(dir, line);
+    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn names(dir: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn render_writes_all_that_is_asked_for() {
+    let dir = workplace();
+    succeeds(
+        dir.path(),
+        "render hills.pcast -o p.png --eye -5,30,-2 --yaw 140 --pitch -40 --size 40x30 --device cpu \
+         --depth d.npy --voxel v.npy --stats s.json",
+    );
+    assert_eq!(names(dir.path()), ["d.npy", "hills.pcast", "p.png", "s.json", "v.npy"]);
+    assert_eq!(image::open(dir.path().join("p.png")).unwrap().into_rgb8().dimensions(), (40, 30));
+    assert_eq!(fs::metadata(dir.path().join("v.npy")).unwrap().len(), 128 + 40 * 30 * 16);
+    let stats: serde_json::Value = serde_json::from_slice(&fs::read(dir.path().join("s.json")).unwrap()).unwrap();
+    for key in [
+        "device",
+        "kernel",
+        "planes",
+        "levels",
+        "width",
+        "height",
+        "cpu_ms",
+        "columns_visited",
+        "runs_visited",
+        "spans_drawn",
+        "bytes_scene_gpu",
+        "specialization",
+    ] {
+        assert!(stats.get(key).is_some(), "{key}: {stats}");
+    }
+    for stage in ["setup", "traverse", "remap", "shade", "total"] {
+        assert!(stats["cpu_ms"][stage].is_number(), "{stage}");
+    }
+}
+
+#[test]
+fn render_without_a_pose_shows_the_scene() {
+    let dir = workplace();
+    succeeds(dir.path(), "render hills.pcast -o p.png --size 64x48 --device exact --depth d.npy");
+    let depth = fs::read(dir.path().join("d.npy")).unwrap();
+    let shown = depth[128..].chunks(4).filter(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]).is_finite()).count();
+    assert!(shown > 64 * 48 / 4, "{shown}");
+}
+
+#[test]
+fn render_leaves_nothing_if_one_output_cannot_be_written() {
+    let dir = workplace();
+    let (status, said) = fails(dir.path(), "render hills.pcast -o p.png --size 8x8 --stats no/s.json");
+    assert_eq!((status, said.as_str()), (1, "no/s.json: the folder no does not exist; create it first"));
+    assert_eq!(names(dir.path()), ["hills.pcast"]);
+}
+
+#[test]
+fn exit_status_tells_the_command_line_from_the_input() {
+    let dir = workplace();
+    fs::write(dir.path().join("bad.pcast"), [7; 100]).unwrap();
+    fs::write(dir.path().join("p.json"), r#"[{"t":0,"eye":[1,2,3],"yaw":0,"pitch":95}]"#).unwrap();
+    for (status, line) in [
+        (2, "render hills.pcast -o p.png --pitch 95"),
+        (2, "render hills.pcast -o p.png --eye --yaw 3"),
+        (2, "render hills.pcast"),
+        (2, "nosuch"),
+        (2, "fly hills.pcast -o film.gif"),
+        (2, "render hills.pcast -o p.png --kernel nosuch --device cpu"),
+        (2, "pick hills.pcast --from 1,2,3 --dir 0,0,0"),
+        (1, "render nosuch.pcast -o p.png"),
+        (1, "render bad.pcast -o p.png"),
+        (1, "render hills.pcast -o ."),
+        (1, "fly hills.pcast -o film --path p.json"),
+        (1, "fly hills.pcast -o no/film.mp4"),
+    ] {
+        assert_eq!(fails(dir.path(), line).0, status, "{line}");
+    }
+    let (_, said) = fails(dir.path(), "fly hills.pcast -o film --path p.json");
+    assert_eq!(said, "p.json: keyframe 1, pitch: 95 is not in -90 to 90");
+}
+
+#[test]
+fn pick_prints_one_json_object() {
+    let dir = workplace();
+    assert_eq!(
+        succeeds(dir.path(), "pick hills.pcast --from 3.5,30,0.5 --dir 0,-2,0"),
+        "{\"hit\":true,\"voxel\":[3,12,0],\"distance\":17.0,\"face\":\"+y\",\"color\":\"#0f8000\"}\n"
+    );
+    assert!(succeeds(dir.path(), "pick hills.pcast --from -3.5,30,0.5 --dir -1,0,0").starts_with("{\"hit\":false,"));
+}
+
+#[test]
+fn fly_saves_a_path_that_it_flies_again() {
+    let dir = workplace();
+    succeeds(dir.path(), "fly hills.pcast -o a --frames 3 --size 32x20 --device cpu --save-path p.json");
+    succeeds(dir.path(), "fly hills.pcast -o b --frames 3 --size 32x20 --device cpu --path p.json");
+    assert_eq!(names(&dir.path().join("a")), ["000000.png", "000001.png", "000002.png", "fly.json"]);
+    for frame in ["000000.png", "000002.png"] {
+        assert_eq!(
+            fs::read(dir.path().join("a").join(frame)).unwrap(),
+            fs::read(dir.path().join("b").join(frame)).unwrap()
+        );
+    }
+    assert_eq!(fails(dir.path(), "fly hills.pcast -o a --frames 3 --size 32x20").0, 1, "frames are not written over");
+    succeeds(dir.path(), "fly hills.pcast -o a --frames 3 --size 32x20 --device cpu --resume");
+}
+
+#[test]
+fn output_to_a_closed_pipe_is_no_error() {
+    let dir = workplace();
+    for line in ["pick hills.pcast --from 1,30,1 --dir 0,-1,0", "--help"] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_planecast"))
+            .args(line.split_whitespace())
+            .current_dir(dir.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        assert!(child.wait().unwrap().success() && said.is_empty(), "{line}: {said}");
+    }
+}
+
+#[cfg(all(unix, feature = "av1"))]
+#[test]
+fn fly_interrupted_leaves_a_film_and_goes_on() {
+    let dir = workplace();
+    let line = "fly hills.pcast -o film.mp4 --frames 400 --size 64x36 --device cpu";
+    let mut child = Command::new(env!("CARGO_BIN_EXE_planecast"))
+        .args(line.split_whitespace())
+        .current_dir(dir.path())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The first segment is there: in the middle of the film.
+    while !dir.path().join("film.mp4.parts/000000.segment").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "the film ended too soon");
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("of 400 frames in film.mp4; the same command with --resume goes on"), "{said}");
+    let film = || fs::read(dir.path().join("film.mp4")).unwrap();
+    let samples = |mp4: &[u8]| {
+        let at = mp4.windows(4).position(|w| w == b"stsz").unwrap();
+        u32::from_be_bytes(mp4[at + 12..at + 16].try_into().unwrap())
+    };
+    assert!((24..400).contains(&samples(&film())), "{}", samples(&film()));
+    succeeds(dir.path(), &format!("{line} --resume"));
+    assert_eq!((samples(&film()), names(dir.path())), (400, vec!["film.mp4".to_string(), "hills.pcast".to_string()]));
+}
