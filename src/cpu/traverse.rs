@@ -723,8 +723,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(always)]
     fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
         let Drawn { h0, h1, t0, .. } = d;
-        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0);
-        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1);
+        // At the eye's own height any distance has slope 0, but for 0, where an eye on a run's face would see nothing of it.
+        let j0 = self.sample(if h0 >= R::ZERO { t1 } else { t0 }, h0);
+        let j1 = self.sample(if h1 <= R::ZERO { t1 } else { t0 }, h1);
         if j0 >= j1 {
             return;
         }
