@@ -286,15 +286,15 @@ fn fan_extent(f: usize, far: f64, vanishing: [f64; 3], w: f64, h: f64) -> Option
 
 /// Spreads `wanted` planes over the fans in the ratio in which `cast` planes were spread, at least one each.
 fn share_planes(fans: &mut [Fan; 4], extents: &[Option<(f64, f64)>; 4], wanted: u32, cast: u32) {
-    let wanted = wanted.max(fans.iter().filter(|f| f.n_planes > 0).count() as u32);
-    let (mut left, mut from) = (wanted, cast);
+    let mut fans_left = fans.iter().filter(|f| f.n_planes > 0).count() as u32;
+    let (mut left, mut from) = (wanted.max(fans_left), cast);
     for (fan, extent) in fans.iter_mut().zip(extents) {
         let Some((lo, hi)) = *extent else { continue };
-        let after = from - fan.n_planes;
+        fans_left -= 1;
         let share = (f64::from(left) * f64::from(fan.n_planes) / f64::from(from)).round() as u32;
-        let share = share.clamp(1, left.saturating_sub(u32::from(after > 0)).max(1));
+        let share = share.clamp(1, left - fans_left);
         from -= fan.n_planes;
-        left = left.saturating_sub(share);
+        left -= share;
         match &mut fan.readjusted {
             Some(r) => {
                 fan.spacing = f64::from(fan.n_planes) / f64::from(share);
