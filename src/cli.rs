@@ -14,12 +14,12 @@ use glam::DVec3;
 use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
 use serde_json::json;
 
+use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::path::{Path, Pose};
 use crate::tour::{self, View};
 use crate::{
-    Camera, CpuRenderer, Culling, Error, Frame, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading,
-    demo, output, pick,
+    Camera, Culling, Error, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -192,14 +192,6 @@ pub struct DrawArgs {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Device {
-    Auto,
-    Gpu,
-    Cpu,
-    Exact,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum RepeatArg {
     None,
     X,
@@ -351,56 +343,21 @@ impl DrawArgs {
     }
 
     /// Settles what draws, and tells of it where that was left to the program. Before any other work.
-    fn method(&self) -> Result<Method> {
-        if let Some(n) = self.threads {
-            // Fails only if the pool was used before, which main() does not.
-            rayon::ThreadPoolBuilder::new()
-                .num_threads(n.into())
-                .build_global()
-                .map_err(|e| Error::Limit(format!("--threads {n}: {e}")))?;
-        }
-        let (method, kernel) = match self.device {
-            Device::Exact => (Method::Exact, "exact"),
-            Device::Cpu => (Method::Planes, "planes"),
-            Device::Auto => {
-                eprintln!("drawing on the cpu: this command does not use the GPU yet");
-                (Method::Planes, "planes")
-            }
-            Device::Gpu => {
-                return Err(Error::Device(
-                    "--device gpu: this command does not use the GPU yet; use --device cpu or auto".into(),
-                ));
-            }
-        };
-        match &self.kernel {
-            Some(name) if name != kernel => {
-                Err(Error::Argument(format!("--kernel {name}: the device has only the kernel {kernel}")))
-            }
-            _ => Ok(method),
-        }
+    /// Opens the device that draws; what it has to tell goes to stderr.
+    fn renderer<'a>(&self, scene: &'a Scene, resident: &'a Resident) -> Result<Renderer<'a>> {
+        Renderer::new(scene, resident, self.device, self.kernel.as_deref(), &mut tell)
+    }
+
+    fn set_threads(&self) -> Result<()> {
+        let Some(n) = self.threads else { return Ok(()) };
+        // Fails only if the pool was used before, which main() does not.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n.into());
+        pool.build_global().map_err(|e| Error::Limit(format!("--threads {n}: {e}")))
     }
 }
 
-/// What draws a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Method {
-    Planes,
-    Exact,
-}
-
-impl Method {
-    pub(crate) fn draw(
-        self,
-        renderer: &mut CpuRenderer,
-        camera: &Camera,
-        options: &Options,
-        outputs: Outputs,
-    ) -> Result<Frame> {
-        match self {
-            Method::Planes => renderer.render(camera, options, outputs),
-            Method::Exact => renderer.exact(camera, options, outputs),
-        }
-    }
+fn tell(what: &str) {
+    eprintln!("{what}");
 }
 
 fn open_scene(path: &FilePath) -> Result<Scene> {
@@ -428,12 +385,13 @@ impl RenderArgs {
             ("--voxel", self.voxel.as_ref()),
             ("--stats", self.stats.as_ref()),
         ])?;
-        let (method, options) = (self.draw.method()?, self.draw.options());
+        self.draw.set_threads()?;
+        let options = self.draw.options();
         let scene = open_scene(&self.scene)?;
         let camera = self.pose(&scene).camera(self.size);
         let resident = Resident::new(&scene);
         let outputs = Outputs { voxel: self.voxel.is_some() };
-        let frame = method.draw(&mut CpuRenderer::new(&scene, &resident), &camera, &options, outputs)?;
+        let frame = self.draw.renderer(&scene, &resident)?.draw(&camera, &options, outputs, &mut tell)?;
 
         let mut files = vec![output::write(&self.output, |out| output::png(out, &frame))?];
         if let Some(path) = &self.depth {
@@ -477,7 +435,8 @@ impl FlyArgs {
             outputs.push(("--output", Some(&self.output)));
         }
         check_outputs(&outputs)?;
-        let (method, options) = (self.draw.method()?, self.draw.options());
+        self.draw.set_threads()?;
+        let options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         let file = PcastFile::open(&self.scene)?;
         let content = info::info(&file)?.content_hash;
@@ -494,7 +453,7 @@ impl FlyArgs {
         let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| p.camera(self.size)).collect();
 
         let resident = Resident::new(&scene);
-        let mut renderer = CpuRenderer::new(&scene, &resident);
+        let mut renderer = self.draw.renderer(&scene, &resident)?;
         let film = Film {
             output: &self.output,
             cameras: &cameras,
@@ -502,12 +461,13 @@ impl FlyArgs {
             resume: self.resume,
             source: json!({
                 "scene": content,
-                "method": format!("{method:?}"),
+                "device": renderer.name(),
                 "options": format!("{options:?}"),
             }),
             stop: stop_on_ctrl_c(),
         };
-        let outcome = fly::fly(&film, &mut |camera| method.draw(&mut renderer, camera, &options, Outputs::default()))?;
+        let draw = &mut |camera: &Camera| renderer.draw(camera, &options, Outputs::default(), &mut tell);
+        let outcome = fly::fly(&film, draw)?;
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
             output::write(file, |out| output::json(out, stats))?.finish()?;
         }

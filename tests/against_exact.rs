@@ -206,7 +206,7 @@ fn tricky_rays(world: &World, n: usize) -> Vec<(DVec3, DVec3)> {
     while rays.len() < n {
         let mut eye = DVec3::ZERO;
         let mut dir = DVec3::ZERO;
-        let (grid, axis) = (random.word() % 2 == 0, random.word() % 2 == 0);
+        let (grid, axis) = (random.word().is_multiple_of(2), random.word().is_multiple_of(2));
         for k in 0..3 {
             let v = random.within(-0.7, 1.7) * dims[k];
             eye[k] = if grid { v.floor() + random.choose(&on_grid) } else { v };
@@ -285,7 +285,7 @@ fn random_pose(random: &mut Random, room: &World) -> Camera {
         let mut eye =
             DVec3::new(random.within(1.0, nx - 1.0), random.within(1.0, ny - 1.0), random.within(1.0, nz - 1.0));
         // Also on grid lines.
-        if random.word() % 5 == 0 {
+        if random.word().is_multiple_of(5) {
             eye = eye.floor();
         }
         let (any_pitch, tiny_pitch) = (random.within(-90.0, 90.0), random.within(-1e-6, 1e-6));

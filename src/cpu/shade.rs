@@ -163,7 +163,7 @@ fn occlusion(p: &ShadeParams, depth: &[f32], x: i32, y: i32, z: f32, n: Vec3) ->
     let here = p.ray(x, y) * z;
     let radius = p.radius_px * p.pixel * z;
     // One of 16 turns in a 4 × 4 pattern.
-    let turn = (((x & 3) * 4 + (y & 3)) * 7 & 15) as usize * SSAO_SAMPLES as usize;
+    let turn = ((((x & 3) * 4 + (y & 3)) * 7) & 15) as usize * SSAO_SAMPLES as usize;
     let mut sum = 0.0;
     for [dx, dy] in &p.spiral[turn..turn + SSAO_SAMPLES as usize] {
         let (sx, sy) = (x + dx, y + dy);

@@ -166,7 +166,8 @@ pub fn traverse<R: Real>(
     let run = |task: Task<'_>| {
         let n = task.color.len() / task.planes.len();
         let mut counters = Counters::default();
-        let mut scratch = Scratch { open: Vec::new(), skip: Vec::new(), sight: Vec::new() };
+        let sight = Sight { depth_t: Vec::new(), slope: Vec::new(), depth_h: Vec::new() };
+        let mut scratch = Scratch { open: Vec::new(), skip: Vec::new(), sight };
         for (k, plane) in task.planes.iter().enumerate() {
             let at = k * n..(k + 1) * n;
             let color = &mut task.color[at.clone()];
@@ -197,18 +198,17 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) ->
 struct Scratch<R> {
     open: Vec<u64>,
     skip: Vec<u32>,
-    sight: Vec<Sight<R>>,
+    sight: Sight<R>,
 }
 
-/// A sample's sight line: the direction `(t, h)` through its centre, which has depth Δ.
-#[derive(Clone, Copy)]
+/// The samples' sight lines: the directions `(t, h)` through their centres, which have depth Δ.
 struct Sight<R> {
     /// `Δ / t`: depth a unit of horizontal distance.
-    depth_t: R,
+    depth_t: Vec<R>,
     /// `h / t`.
-    slope: R,
+    slope: Vec<R>,
     /// `|Δ / h|`: depth a unit of height.
-    depth_h: R,
+    depth_h: Vec<R>,
 }
 
 /// One plane's inputs and outputs.
@@ -312,7 +312,7 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     /// For a filled sample, one that may be unfilled, or a step towards it.
     skip: &'a mut [u32],
     /// Sight lines of the samples.
-    sight: &'a mut [Sight<R>],
+    sight: &'a mut Sight<R>,
     color: &'a mut [u32],
     s_hi: R,
     depth: &'a mut [f32],
@@ -337,8 +337,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             let to = (plane.end as usize - 64 * j).min(64);
             scratch.open[j] = low_bits(to) & !low_bits(from);
         }
-        let dark = Sight { depth_t: R::ZERO, slope: R::ZERO, depth_h: R::ZERO };
-        scratch.sight.resize(n, dark);
+        let Sight { depth_t, slope, depth_h } = &mut scratch.sight;
+        for v in [depth_t, slope, depth_h] {
+            v.resize(n, R::ZERO);
+        }
         scratch.skip.clear();
         if !FAST {
             scratch.skip.extend(0..=n as u32);
@@ -385,12 +387,15 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(always)]
     fn look(&mut self) {
         let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
-        for (i, sight) in self.sight[self.lo as usize..self.hi as usize].iter_mut().enumerate() {
+        let range = self.lo as usize..self.hi as usize;
+        let Sight { depth_t, slope, depth_h } = &mut *self.sight;
+        let sights = depth_t[range.clone()].iter_mut().zip(&mut slope[range.clone()]).zip(&mut depth_h[range]);
+        for (i, ((depth_t, slope), depth_h)) in sights.enumerate() {
             let u = R::from_i32(self.lo + i as i32);
             let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
             let t = if t > R::TINY { t } else { R::TINY };
             let up = if h.abs() > R::TINY { h.abs() } else { R::TINY };
-            *sight = Sight { depth_t: self.delta / t, slope: h / t, depth_h: self.delta / up };
+            (*depth_t, *slope, *depth_h) = (self.delta / t, h / t, self.delta / up);
         }
     }
 
@@ -654,70 +659,85 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         more: u32,
         t0: R,
         t1: R,
-        mut lo: R,
-        mut hi: R,
+        lo: R,
+        hi: R,
     ) {
         let rest: &[u32] = match more as usize {
             0 => &[],
             at => &level.runs[at + 1..at + 1 + level.runs[at] as usize],
         };
-        let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
-        let ends = |w: &Self, run: Run| (w.height(u32::from(run.first()) << l), w.height(run.end() << l));
-        // How many runs, from the top down, start above height `h`.
-        let starts_above = |w: &Self, h: R| {
-            if ends(w, top).0 <= h { 0 } else { 1 + rest.partition_point(|&r| ends(w, Run(r)).0 > h) }
+        // The window's heights as whole voxels, rounded outwards.
+        let eye = self.eye_y;
+        let fract = self.fract_y;
+        let far = R::from_i32(1 << 30);
+        let whole = |(lo, hi): (R, R)| {
+            let floor = |h: R| (h + fract).min(far).max(R::ZERO - far).floor_i32().saturating_add(eye);
+            (floor(lo), floor(hi).saturating_add(1))
         };
-        let above = starts_above(self, R::ZERO);
-        let mut k = above;
-        if rest.len() > 8 && hi < R::ZERO {
-            // All above the window: binary search for the first run that reaches down into it.
-            k = k.max(starts_above(self, hi));
+        let (mut below, mut above) = whole((lo, hi));
+        let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
+        let first = |run: Run| (u32::from(run.first()) << l) as i32;
+        let end = |run: Run| (run.end() << l) as i32;
+        // How many runs, from the top down, start at `y` or above.
+        let starting = |y: i32| if first(top) < y { 0 } else { 1 + rest.partition_point(|&r| first(Run(r)) >= y) };
+        let over = starting(eye + 1);
+        let mut k = over;
+        if rest.len() > 8 {
+            // Binary search for the first run that reaches down into the window.
+            k = k.max(starting(above));
         }
         while k <= rest.len() {
             self.counters.runs_visited += 1;
             let run = run(k);
-            let (h0, h1) = ends(self, run);
-            if h1 <= lo {
+            if end(run) <= below {
                 break;
             }
-            if h0 < hi && !self.hidden(h0, h1, t0, t1) {
-                self.draw(level, l, t1, Drawn { run, k: k as u32, column, h0, h1, t0 });
+            if first(run) < above && self.draw_run(level, l, column, run, k as u32, t0, t1) {
                 if self.closed() {
                     return;
                 }
-                (lo, hi) = self.visible(t0, t1);
+                if !rest.is_empty() {
+                    (below, above) = whole(self.visible(t0, t1));
+                }
             }
             k += 1;
         }
-        let mut k = above;
-        if above > 8 && lo > R::ZERO {
-            k = k.min(1 + rest.partition_point(|&r| ends(self, Run(r)).1 > lo));
+        let mut k = over;
+        if over > 8 {
+            k = k.min(1 + rest.partition_point(|&r| end(Run(r)) > below));
         }
         while k > 0 {
             k -= 1;
             self.counters.runs_visited += 1;
             let run = run(k);
-            let (h0, h1) = ends(self, run);
-            if h0 >= hi {
+            if first(run) >= above {
                 return;
             }
-            if h1 > lo && !self.hidden(h0, h1, t0, t1) {
-                self.draw(level, l, t1, Drawn { run, k: k as u32, column, h0, h1, t0 });
+            if end(run) > below && self.draw_run(level, l, column, run, k as u32, t0, t1) {
                 if self.closed() {
                     return;
                 }
-                (lo, hi) = self.visible(t0, t1);
+                if k > 0 {
+                    (below, above) = whole(self.visible(t0, t1));
+                }
             }
         }
     }
 
-    /// Whether a run lies in the center segment: by the slopes of its highest and its lowest place in the window.
+    /// Draws run number `k` of a column, unless it lies in the center segment; whether it did.
+    #[expect(clippy::too_many_arguments, reason = "what `runs` knows already")]
     #[inline(always)]
-    fn hidden(&self, h0: R, h1: R, t0: R, t1: R) -> bool {
-        (FAST || self.culling.center)
+    fn draw_run(&mut self, level: &'a ResidentLevel, l: u32, column: usize, run: Run, k: u32, t0: R, t1: R) -> bool {
+        let (h0, h1) = (self.height(u32::from(run.first()) << l), self.height(run.end() << l));
+        // Slopes of the run's ends: its highest and its lowest place in the window.
+        let inside = (FAST || self.culling.center)
             && self.center[1] > self.center[0]
             && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
-            && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 }
+            && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 };
+        if !inside {
+            self.draw(level, l, t1, Drawn { run, k, column, h0, h1, t0 });
+        }
+        !inside
     }
 
     #[inline(always)]
@@ -834,37 +854,37 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(always)]
     fn emit(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
         let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
-        let sight = &self.sight[from..to];
         let depth = &mut self.depth[from..to];
         let color = &mut self.color[from..to];
         if let Face::Front = face {
-            for (z, s) in depth.iter_mut().zip(sight) {
-                *z = (d.t0 * s.depth_t).to_f32();
+            for (z, &s) in depth.iter_mut().zip(&self.sight.depth_t[from..to]) {
+                *z = (d.t0 * s).to_f32();
             }
+            let slope = &self.sight.slope[from..to];
             // How far above the run's foot each sight line meets it, in voxels of level 0.
             let top = R::from_i32(((last - first + 1) << l) as i32 - 1);
-            let y = |s: &Sight<R>| first + ((s.slope * d.t0 - d.h0).truncate(top) as u32 >> l);
+            let y = |&slope: &R| first + (((slope * d.t0 - d.h0).truncate(top) as u32) >> l);
             match &level.paint {
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
                 Paint::Voxel { base, exposed, colors } => {
                     let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
                     let mut paint = Exposed::default();
-                    for (c, s) in color.iter_mut().zip(sight) {
+                    for (c, s) in color.iter_mut().zip(slope) {
                         *c = colors[paint.find(exposed, y(s))];
                     }
                 }
             }
             if VOXEL {
-                for (v, s) in self.voxel[from..to].iter_mut().zip(sight) {
+                for (v, s) in self.voxel[from..to].iter_mut().zip(slope) {
                     *v = [self.cell[0], y(s) as i32, self.cell[1], l as i32];
                 }
             }
         } else {
             let (h, y) = if let Face::Top = face { (d.h1, last) } else { (d.h0, first) };
             let up = h.abs();
-            for (z, s) in depth.iter_mut().zip(sight) {
-                *z = (up * s.depth_h).to_f32();
+            for (z, &s) in depth.iter_mut().zip(&self.sight.depth_h[from..to]) {
+                *z = (up * s).to_f32();
             }
             color.fill(level.paint.color(d.column, d.k, y));
             if VOXEL {

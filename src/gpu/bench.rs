@@ -54,14 +54,13 @@ pub struct Table {
     pub lines: Vec<Line>,
 }
 
-/// A flight of `n` poses over a scene: a loop over the world and half as far again beyond it, low and high, with the
-/// camera turning from straight down to 40 degrees up and rolling in every fifth pose. Never inside a voxel.
+/// A flight of `n` poses over a scene: a loop over the world, low and high, with the camera turning from straight down to 40 degrees up and rolling in every fifth pose. Never inside a voxel.
 pub fn poses(resident: &Resident, n: usize, width: u32, height: u32) -> Vec<Camera> {
     let level = &resident.levels[0];
     let (nx, nz) = (f64::from(level.nx), f64::from(level.nz));
     let pose = |i: usize| {
         let turn = i as f64 / n as f64 * std::f64::consts::TAU;
-        let (x, z) = (nx * (0.5 + 0.75 * turn.cos()), nz * (0.5 + 0.75 * (2.0 * turn).sin()));
+        let (x, z) = (nx * (0.5 + 0.45 * turn.cos()), nz * (0.5 + 0.45 * (2.0 * turn).sin()));
         let column = |x: f64, z: f64| {
             let ix = z.rem_euclid(nz) as usize * level.nx as usize + x.rem_euclid(nx) as usize;
             level.column(ix).next().map_or(0, |run| run.end())

@@ -14,6 +14,8 @@ pub struct Engine {
     /// The adapter's name and driver.
     pub name: String,
     pub driver: String,
+    /// Whether the adapter is a processor that plays GPU.
+    pub software: bool,
     /// Nanoseconds a timestamp tick; `None` where the device has no timestamps.
     pub tick_ns: Option<f32>,
     trusted: bool,
@@ -32,20 +34,18 @@ impl Engine {
     /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`, `WGPU_BACKEND`), else the most powerful.
     pub fn new(trusted: bool) -> Result<Engine> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
-        let named = std::env::var_os("WGPU_ADAPTER_NAME").is_some();
-        let adapter = if named {
-            pollster::block_on(wgpu::util::initialize_adapter_from_env(&instance, None))
-        } else {
-            pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
+        let adapter = match std::env::var("WGPU_ADAPTER_NAME") {
+            Ok(name) => named_adapter(&instance, &name)?,
+            Err(_) => pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
                 power_preference: wgpu::PowerPreference::HighPerformance,
                 ..wgpu::RequestAdapterOptions::default()
             }))
+            .map_err(|e| {
+                Error::Device(format!(
+                    "no usable GPU adapter ({e}): install a Vulkan, Metal or DX12 driver, or try --device cpu"
+                ))
+            })?,
         };
-        let adapter = adapter.map_err(|e| {
-            Error::Device(format!(
-                "no usable GPU adapter ({e}): install a Vulkan, Metal or DX12 driver, or try --device cpu"
-            ))
-        })?;
         let info = adapter.get_info();
         let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
         // All that the adapter has: scenes and pictures are checked against it, not against the portable defaults.
@@ -71,6 +71,7 @@ impl Engine {
             }
         });
         let tick_ns = features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
+        let software = info.device_type == wgpu::DeviceType::Cpu;
         let driver = format!("{} {}", info.driver, info.driver_info).trim().to_string();
         Ok(Engine {
             device,
@@ -78,6 +79,7 @@ impl Engine {
             limits,
             name: info.name,
             driver,
+            software,
             tick_ns,
             trusted,
             pipelines: HashMap::new(),
@@ -176,6 +178,20 @@ impl Engine {
         // draws the same pictures with the checks on.
         unsafe { self.device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
     }
+}
+
+/// The first adapter whose name holds `name`, whatever the case.
+fn named_adapter(instance: &wgpu::Instance, name: &str) -> Result<wgpu::Adapter> {
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
+    let wanted = name.to_lowercase();
+    let found = adapters.into_iter().find(|a| a.get_info().name.to_lowercase().contains(&wanted));
+    found.ok_or_else(|| {
+        let there = if names.is_empty() { "none".into() } else { names.join(", ") };
+        Error::Device(format!(
+            "no usable GPU adapter named {name} (WGPU_ADAPTER_NAME); there are: {there}; try --device cpu"
+        ))
+    })
 }
 
 /// wgpu's errors fill a page; their first lines say what matters.

@@ -75,11 +75,22 @@ pub struct GpuOptions {
     pub lanes: Option<u32>,
     /// Frames that may be on their way at once between [`GpuRenderer::submit`] and [`GpuRenderer::collect`].
     pub in_flight: usize,
+    /// Bytes of workgroup memory to use at most, where the device has more. What does not fit goes to a storage buffer.
+    pub workgroup_memory: u32,
+    /// Bytes of one binding of a scene table at most, where the device allows more. Longer tables are cut into several.
+    pub binding_size: u64,
 }
 
 impl Default for GpuOptions {
     fn default() -> GpuOptions {
-        GpuOptions { kernel: Kernel::Workgroup, trusted: !cfg!(debug_assertions), lanes: None, in_flight: 3 }
+        GpuOptions {
+            kernel: Kernel::Workgroup,
+            trusted: !cfg!(debug_assertions),
+            lanes: None,
+            in_flight: 3,
+            workgroup_memory: u32::MAX,
+            binding_size: u64::MAX,
+        }
     }
 }
 
@@ -165,7 +176,7 @@ impl<'a> GpuRenderer<'a> {
             }
         }
         let engine = Engine::new(options.trusted)?;
-        let tables = GpuResident::new(&engine, resident)?;
+        let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("stages"),
@@ -180,6 +191,11 @@ impl<'a> GpuRenderer<'a> {
     /// The adapter's name, and its driver.
     pub fn device(&self) -> (&str, &str) {
         (&self.engine.name, &self.engine.driver)
+    }
+
+    /// Whether the adapter is a processor that plays GPU: the CPU's own stages are faster then.
+    pub fn is_software(&self) -> bool {
+        self.engine.software
     }
 
     /// Takes another kernel from the next frame on.
@@ -350,7 +366,7 @@ impl Plan {
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
         let longest = setup.fans.iter().filter(|f| f.n_planes > 0).map(|f| f.n_samples).max().unwrap_or(0).max(1);
-        let memory = engine.limits.max_compute_workgroup_storage_size;
+        let memory = engine.limits.max_compute_workgroup_storage_size.min(gpu.workgroup_memory);
         let most = engine.limits.max_compute_invocations_per_workgroup;
         let mut plan = Plan {
             kernel: gpu.kernel,

@@ -36,7 +36,8 @@ impl Table<'_> {
 }
 
 impl GpuResident {
-    pub fn new(engine: &Engine, resident: &Resident) -> Result<GpuResident> {
+    /// Uploads a scene; bindings take at most `binding_size` bytes and what the device allows.
+    pub fn new(engine: &Engine, resident: &Resident, binding_size: u64) -> Result<GpuResident> {
         if resident.levels.len() > MAX_LEVELS {
             return Err(Error::Limit(format!(
                 "scene of {} levels: the GPU draws at most {MAX_LEVELS}",
@@ -45,7 +46,7 @@ impl GpuResident {
         }
         let (levels, tables, paint) = gather(resident)?;
         let mut pages = [Pages { n: 1, shift: 31 }; 6];
-        let limit = engine.limits.max_storage_buffer_binding_size.min(engine.limits.max_buffer_size);
+        let limit = engine.limits.max_storage_buffer_binding_size.min(engine.limits.max_buffer_size).min(binding_size);
         let mut bytes = 0;
         for (table, (name, pages)) in tables.iter().zip(TABLES.iter().zip(&mut pages)) {
             let size = table.bytes();

@@ -66,7 +66,8 @@ pub fn compare(a: &Frame, b: &Frame) -> Difference {
             continue;
         }
         let (za, zb) = (a.depth[i], b.depth[i]);
-        if za != zb && !((za - zb).abs() <= 1e-4 * zb.abs().max(1e-3)) {
+        let close = (za - zb).abs() <= 1e-4 * zb.abs().max(1e-3);
+        if za != zb && !close {
             note("depth", format!("{za} against {zb}"));
             out.depth += 1;
         }
@@ -79,6 +80,7 @@ pub fn compare(a: &Frame, b: &Frame) -> Difference {
     out
 }
 
+#[cfg(test)]
 mod tests {
     use super::*;
     use planecast::Stats;

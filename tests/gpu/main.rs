@@ -6,6 +6,8 @@ mod compare;
 
 use compare::{Difference, compare};
 use glam::DVec3;
+use planecast::cpu::shade::{ShadeParams, shade};
+use planecast::cpu::traverse::{PlaneBuffer, traverse};
 use planecast::gpu::Begin;
 use planecast::plane_setup::plane_setup;
 use planecast::{
@@ -103,6 +105,7 @@ fn planes_kernels_draw_what_the_cpu_draws() {
                 "coarse levels, repeated",
                 Options { lod: Some(4.0), repeat: Repeat { x: true, z: true }, view_distance: 2000.0, ..flat() },
             ),
+            ("40,000 voxels far", Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, ..flat() }),
             ("nearest plane", Options { remap: Remap::Nearest, ..flat() }),
             ("few planes, gap fill", Options { remap: Remap::Nearest, planes: Planes::Factor(0.4), ..flat() }),
             (
@@ -120,5 +123,369 @@ fn planes_kernels_draw_what_the_cpu_draws() {
                 assert_eq!(drawn.stats.holes, expected.stats.holes, "{name} {camera:?}");
             });
         }
+    }
+}
+
+/// Every pair of geometry and colour that a scene can have.
+fn kinds() -> Vec<(String, World)> {
+    let mut all = Vec::new();
+    for encoding in [Encoding::Solid, Encoding::Surface] {
+        for color in [ColorMode::None, ColorMode::Run, ColorMode::Voxel] {
+            all.push((format!("{encoding:?} {color:?}"), world(Kind::Terrain, 64, encoding, color)));
+        }
+    }
+    all.push(("mixing".into(), world(Kind::Mixing, 64, Encoding::Solid, ColorMode::Voxel)));
+    all.push(("menger".into(), world(Kind::Menger, 27, Encoding::Surface, ColorMode::None)));
+    all.push(("shapes".into(), world(Kind::Shapes, 60, Encoding::Solid, ColorMode::Voxel)));
+    all
+}
+
+#[test]
+fn planes_kernels_draw_every_kind_of_scene() {
+    if !gpu_wanted() {
+        return;
+    }
+    for (name, world) in kinds() {
+        for kernel in [Kernel::Workgroup, Kernel::Invocation] {
+            against_cpu(&world, gpu_options(kernel), &flat(), |camera, drawn, expected| {
+                agrees(&format!("{} {name}", kernel.name()), camera, &compare(&drawn, &expected));
+            });
+        }
+    }
+}
+
+/// Exact rays with the bounds of the CPU's planes in far views: the same voxel in 90 % of pixels (99.8 % where planes are
+/// pixel columns) and one within a pixel in 97 %. Rays of the raycast kernel differ by rounding alone.
+#[test]
+fn kernels_show_what_exact_rays_meet() {
+    if !gpu_wanted() {
+        return;
+    }
+    let options = Options { lod: None, ..flat() };
+    for (name, world) in [("rocks", rocks()), ("mixing", world(Kind::Mixing, 64, Encoding::Solid, ColorMode::Voxel))] {
+        for kernel in Kernel::ALL {
+            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+            let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+            for camera in poses(&world) {
+                let drawn = gpu.render(&camera, &options, VOXEL).unwrap();
+                let exact = cpu.exact(&camera, &options, VOXEL).unwrap();
+                let d = compare(&drawn, &exact);
+                println!("{name} {} {:?}: {d}", kernel.name(), (camera.yaw, camera.pitch, camera.roll));
+                let columns = camera.pitch == 0.0 && camera.roll == 0.0;
+                // Voxels of these views are about a pixel wide.
+                let (same, near) = if columns || kernel == Kernel::Raycast { (0.998, 0.998) } else { (0.9, 0.97) };
+                assert!(d.same() >= same && d.near() >= near, "{name} {} {camera:?}: {d}", kernel.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn raycast_draws_the_levels_that_planes_draw() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let options = Options { lod: Some(3.0), repeat: Repeat { x: true, z: true }, view_distance: 1500.0, ..flat() };
+    against_cpu(&world, gpu_options(Kernel::Raycast), &options, |camera, drawn, expected| {
+        let d = compare(&drawn, &expected);
+        println!("{:?}: {d}", (camera.yaw, camera.pitch, camera.roll));
+        // Planes sample: of far views with voxels of three pixels nine in ten pixels show the very voxel.
+        assert!(d.same() >= 0.9 && d.near() >= 0.97, "{camera:?}: {d}");
+        assert!(drawn.voxel.iter().any(|v| v[3] > 0) || drawn.voxel.iter().all(|v| v[3] <= 0));
+    });
+}
+
+#[test]
+fn culling_changes_no_picture() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = world(Kind::Mixing, 64, Encoding::Solid, ColorMode::Voxel);
+    let repeat = Repeat { x: true, z: true };
+    let options = |culling| Options { culling, lod: Some(2.0), repeat, view_distance: 400.0, ..flat() };
+    let all = [
+        Culling { horizon: false, ..Culling::ALL },
+        Culling { center: false, ..Culling::ALL },
+        Culling { forward: false, ..Culling::ALL },
+        Culling { bits: false, ..Culling::ALL },
+        Culling { coarse: false, ..Culling::ALL },
+        Culling::NONE,
+    ];
+    for kernel in Kernel::ALL {
+        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+        for camera in &poses(&world)[..4] {
+            let expected = gpu.render(camera, &options(Culling::ALL), VOXEL).unwrap();
+            for culling in all {
+                let drawn = gpu.render(camera, &options(culling), VOXEL).unwrap();
+                let d = compare(&drawn, &expected);
+                assert_eq!((d.voxel, d.depth, d.color), (0, 0, 0), "{} {culling:?} {camera:?}: {d}", kernel.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn traverse_leaves_the_same_planes_as_the_cpu() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let options = flat();
+    for kernel in [Kernel::Workgroup, Kernel::Invocation] {
+        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+        for camera in poses(&world) {
+            gpu.render(&camera, &options, VOXEL).unwrap();
+            let setup = plane_setup(&world.resident, &camera, &options);
+            let drawn = gpu.plane_buffer(setup.samples, true).unwrap();
+            let mut expected = PlaneBuffer::default();
+            traverse::<f32>(&world.resident, &setup, Culling::ALL, &mut expected, true);
+            let (mut seen, mut voxel, mut depth, mut color) = (0, 0, 0, 0);
+            for plane in &setup.planes {
+                for j in plane.first..plane.end {
+                    let i = plane.base + j as usize;
+                    seen += 1;
+                    if drawn.voxel[i] != expected.voxel[i] {
+                        voxel += 1;
+                        continue;
+                    }
+                    let (a, b) = (drawn.depth[i], expected.depth[i]);
+                    depth += usize::from(a != b && (a - b).abs() > 1e-5 * b);
+                    color += usize::from(drawn.color[i] != expected.color[i]);
+                }
+            }
+            println!(
+                "{} {:?}: of {seen} samples {voxel} voxels, {depth} depths, {color} colours differ",
+                kernel.name(),
+                (camera.yaw, camera.pitch, camera.roll)
+            );
+            assert!(seen > 1000 && voxel <= seen / 2000 && depth == 0 && color == 0, "{} {camera:?}", kernel.name());
+        }
+    }
+}
+
+#[test]
+fn remap_of_the_same_planes_takes_the_same_samples() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(Kernel::Workgroup)).unwrap();
+    let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+    for (name, options) in [
+        ("nearest", Options { remap: Remap::Nearest, ..flat() }),
+        ("retest", flat()),
+        ("gap fill", Options { remap: Remap::Nearest, planes: Planes::Factor(0.3), ..flat() }),
+        ("readjusted", Options { remap: Remap::Nearest, readjust: true, ..flat() }),
+    ] {
+        for camera in poses(&world) {
+            let setup = plane_setup(&world.resident, &camera, &options);
+            let mut planes = PlaneBuffer::default();
+            traverse::<f32>(&world.resident, &setup, Culling::ALL, &mut planes, true);
+            let drawn = gpu.render_from(Begin::Planes(&planes), &camera, &options, VOXEL).unwrap();
+            let expected = cpu.render(&camera, &options, VOXEL).unwrap();
+            let d = compare(&drawn, &expected);
+            println!("{name} {:?}: {d}", (camera.yaw, camera.pitch, camera.roll));
+            // Ties: pixels exactly between two planes (looking straight down the middle column is), rays along an edge.
+            assert!(d.voxel <= d.pixels / 500 && d.depth + d.color <= d.pixels / 1000, "{name} {camera:?}: {d}");
+        }
+    }
+}
+
+#[test]
+fn shade_of_the_same_image_gives_the_same_colours() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(Kernel::Workgroup)).unwrap();
+    let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+    for shading in [Shading::None, Shading::Ssn, Shading::Ssao, Shading::Full] {
+        for fog in [None, Some(150.0)] {
+            let options = Options { shading, fog, ..Options::default() };
+            for camera in poses(&world) {
+                // Unshaded colours are what `remap` leaves, but for the sky.
+                let image = cpu.render(&camera, &flat(), VOXEL).unwrap();
+                let color: Vec<u32> = image.color.iter().map(|&c| u32::from_le_bytes(c)).collect();
+                let mut expected = image.clone();
+                let params = ShadeParams::new(&camera, &options);
+                shade(&params, &color, &image.depth, &mut expected.color);
+                let begin = Begin::Image { color: &color, depth: &image.depth };
+                let drawn = gpu.render_from(begin, &camera, &options, Outputs::default()).unwrap();
+                let off: Vec<u8> = drawn
+                    .color
+                    .iter()
+                    .zip(&expected.color)
+                    .map(|(a, b)| (0..4).map(|c| a[c].abs_diff(b[c])).max().unwrap())
+                    .collect();
+                let (one, more) = (off.iter().filter(|&&d| d == 1).count(), off.iter().filter(|&&d| d > 1).count());
+                println!(
+                    "{shading:?} {fog:?} {:?}: {one} by 1, {more} by more",
+                    (camera.yaw, camera.pitch, camera.roll)
+                );
+                // A rounding of the last place everywhere; more only where a neighbour's depth is on the limit of an edge.
+                assert!(
+                    more <= off.len() / 1000 && one <= off.len() / 50,
+                    "{shading:?} {fog:?} {camera:?}: {one} by 1, {more} by more"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn checked_and_trusted_shaders_draw_equal_pictures() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = world(Kind::Terrain, 64, Encoding::Surface, ColorMode::Voxel);
+    for kernel in Kernel::ALL {
+        let draw = |trusted| {
+            let options = GpuOptions { trusted, ..gpu_options(kernel) };
+            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options).unwrap();
+            let repeat = Options { repeat: Repeat { x: true, z: true }, view_distance: 3000.0, ..Options::default() };
+            let frames = poses(&world).into_iter().map(|c| gpu.render(&c, &repeat, VOXEL).unwrap());
+            frames.map(|f| (f.color, f.depth, f.voxel)).collect::<Vec<_>>()
+        };
+        assert!(draw(true) == draw(false), "{}", kernel.name());
+    }
+}
+
+#[test]
+fn lanes_and_memory_change_no_picture() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    // Taller than 256 and than one word of bits by far; not so tall that a software device ends loops early (llvmpipe
+    // stops an invocation's after 65,535 turns in all).
+    let tall = Camera { width: 3, height: 5000, ..camera(&world, 40.0, -20.0, 0.0) };
+    let small = camera(&world, 40.0, -40.0, 10.0);
+    let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+    for (kernel, lanes) in [(Kernel::Workgroup, [32, 64, 128, 256]), (Kernel::Invocation, [1, 2, 16, 64])] {
+        // 16 KiB is what every device has; in 2.5 KiB neither keys nor bits of a tall picture fit.
+        for (lanes, memory) in lanes.into_iter().flat_map(|n| [(n, 16 << 10), (n, 2560)]) {
+            let options = GpuOptions { lanes: Some(lanes), workgroup_memory: memory, ..gpu_options(kernel) };
+            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options).unwrap();
+            for camera in [&small, &tall] {
+                let drawn = gpu.render(camera, &flat(), VOXEL).unwrap();
+                let expected = cpu.render(camera, &flat(), VOXEL).unwrap();
+                let what = format!("{} {lanes} lanes, {memory} bytes", kernel.name());
+                agrees(&what, camera, &compare(&drawn, &expected));
+            }
+        }
+    }
+}
+
+#[test]
+fn frames_in_flight_come_back_in_order() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let options = Options::default();
+    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+    let mut cameras = poses(&world);
+    // One inside a voxel, which needs no device, and one of another size.
+    cameras[2].eye.y = 0.5;
+    cameras[5].width = 50;
+    let alone: Vec<Frame> = cameras.iter().map(|c| gpu.render(c, &options, VOXEL).unwrap()).collect();
+    let mut together = Vec::new();
+    for camera in &cameras {
+        if gpu.is_full() {
+            together.push(gpu.collect().unwrap().unwrap());
+        }
+        gpu.submit(camera, &options, VOXEL).unwrap();
+    }
+    assert_eq!(gpu.in_flight(), 3);
+    while let Some(frame) = gpu.collect() {
+        together.push(frame.unwrap());
+    }
+    assert_eq!(together.len(), alone.len());
+    for (a, b) in together.iter().zip(&alone) {
+        assert!((&a.color, &a.depth, &a.voxel) == (&b.color, &b.depth, &b.voxel));
+    }
+    assert!(alone[2].depth.iter().all(|&z| z == 0.0) && alone[2].stats.kernel == "inside");
+}
+
+#[test]
+fn stats_say_what_a_frame_took() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    for kernel in Kernel::ALL {
+        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+        let stats = gpu.render(&camera(&world, 10.0, -30.0, 0.0), &Options::default(), VOXEL).unwrap().stats;
+        let ms = stats.gpu_ms.unwrap();
+        assert!(ms.traverse > 0.0 && ms.shade > 0.0 && ms.total >= ms.traverse + ms.shade, "{ms:?}");
+        assert_eq!((stats.kernel.as_str(), stats.cpu_ms), (kernel.name(), None));
+        assert_eq!(stats.bytes_scene_gpu, world.resident.bytes());
+        assert!(stats.columns_visited > 1000 && stats.runs_visited > 100 && stats.spans_drawn > 100, "{stats:?}");
+        assert!(!stats.device.is_empty() && stats.planes > 0 && stats.levels_drawn > 1);
+    }
+}
+
+#[test]
+fn pictures_beyond_the_device_are_refused() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = world(Kind::Menger, 9, Encoding::Solid, ColorMode::None);
+    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+    // 2²⁸ pixels of 16 bytes of voxel each.
+    let huge = Camera { width: 1 << 14, height: 1 << 14, ..camera(&world, 0.0, 0.0, 0.0) };
+    let error = gpu.render(&huge, &flat(), VOXEL).unwrap_err().to_string();
+    assert!(error.contains("MiB") && error.contains("try"), "{error}");
+    // The renderer goes on.
+    gpu.render(&camera(&world, 0.0, 0.0, 0.0), &flat(), VOXEL).unwrap();
+    let lanes = GpuOptions { lanes: Some(33), ..GpuOptions::default() };
+    assert!(GpuRenderer::new(&world.scene, &world.resident, lanes).is_err());
+    assert!("warp".parse::<Kernel>().unwrap_err().to_string().contains("workgroup"));
+}
+
+#[test]
+fn scenes_beyond_a_binding_are_cut_into_several() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let repeat = Options { repeat: Repeat { x: true, z: true }, view_distance: 1500.0, ..flat() };
+    for kernel in Kernel::ALL {
+        let draw = |binding_size| {
+            let options = GpuOptions { binding_size, ..gpu_options(kernel) };
+            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options)?;
+            let frames = poses(&world).into_iter().map(|c| gpu.render(&c, &repeat, VOXEL).unwrap());
+            Ok::<_, planecast::Error>(frames.map(|f| (f.color, f.depth, f.voxel)).collect::<Vec<_>>())
+        };
+        // Columns, exposed runs and colours of all levels take some 200 KiB each: two to four bindings.
+        assert!(draw(128 << 10).unwrap() == draw(u64::MAX).unwrap(), "{}", kernel.name());
+        let error = draw(16 << 10).unwrap_err().to_string();
+        assert!(error.contains("bindings of 0 MiB") && error.contains("--device cpu"), "{error}");
+    }
+}
+
+#[test]
+fn absent_adapters_are_a_plain_error() {
+    if !gpu_wanted() {
+        return;
+    }
+    let child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["child_without_an_adapter", "--exact", "--ignored", "--nocapture"])
+        .env("WGPU_ADAPTER_NAME", "no such adapter")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&child.stdout).into_owned();
+    let line = text.lines().find(|l| l.contains("no usable GPU adapter")).unwrap_or_else(|| panic!("{text}"));
+    assert!(child.status.success() && line.contains("--device cpu"), "{line}");
+}
+
+#[test]
+#[ignore = "run by absent_adapters_are_a_plain_error"]
+fn child_without_an_adapter() {
+    let world = world(Kind::Menger, 9, Encoding::Solid, ColorMode::None);
+    match GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()) {
+        Ok(_) => panic!("an adapter of that name exists"),
+        Err(e) => println!("{e}"),
     }
 }

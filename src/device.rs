@@ -1,0 +1,136 @@
+//! Which device draws: the GPU, the CPU, or the exact reference.
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+#[cfg(feature = "gpu")]
+use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
+use crate::options::Options;
+use crate::renderer::{CpuRenderer, Outputs};
+use crate::resident::Resident;
+use planecast_encoder::Scene;
+
+/// What was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Device {
+    /// The GPU where a real one is usable, else the CPU.
+    Auto,
+    Gpu,
+    Cpu,
+    /// One f64 ray a pixel at level 0, on the CPU.
+    Exact,
+}
+
+/// Draws frames of one scene on the device that was chosen.
+pub struct Renderer<'a> {
+    scene: &'a Scene,
+    resident: &'a Resident,
+    backend: Backend<'a>,
+    /// Whether a GPU that fails is replaced by the CPU.
+    fall_back: bool,
+}
+
+enum Backend<'a> {
+    Planes(CpuRenderer<'a>),
+    Exact(CpuRenderer<'a>),
+    #[cfg(feature = "gpu")]
+    Gpu(Box<GpuRenderer<'a>>),
+}
+
+impl<'a> Renderer<'a> {
+    /// Opens a device. `tell` hears which one `auto` took, and why.
+    pub fn new(
+        scene: &'a Scene,
+        resident: &'a Resident,
+        device: Device,
+        kernel: Option<&str>,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<Renderer<'a>> {
+        let cpu = || CpuRenderer::new(scene, resident);
+        let only = |name: &str| match kernel {
+            Some(k) if k != name => Err(Error::Argument(format!("kernel {k}: this device has only {name}"))),
+            _ => Ok(()),
+        };
+        let backend = match device {
+            Device::Exact => {
+                only("exact")?;
+                Backend::Exact(cpu())
+            }
+            Device::Cpu => {
+                only("planes")?;
+                Backend::Planes(cpu())
+            }
+            Device::Auto if kernel == Some("planes") => Backend::Planes(cpu()),
+            Device::Auto => match open_gpu(scene, resident, kernel, true) {
+                Ok(backend) => backend,
+                // A kernel of the GPU's cannot be had elsewhere.
+                Err(e) if kernel.is_some() => return Err(e),
+                Err(e) => {
+                    tell(&format!("drawing on the cpu: {e}"));
+                    Backend::Planes(cpu())
+                }
+            },
+            Device::Gpu => open_gpu(scene, resident, kernel, false)?,
+        };
+        let renderer = Renderer { scene, resident, backend, fall_back: device == Device::Auto };
+        #[cfg(feature = "gpu")]
+        if let (Backend::Gpu(gpu), Device::Auto) = (&renderer.backend, device) {
+            tell(&format!("drawing on the gpu: {}", gpu.device().0));
+        }
+        Ok(renderer)
+    }
+
+    /// Draws one frame. After `auto`, a GPU that fails is replaced by the CPU for good, and `tell` hears why.
+    pub fn draw(
+        &mut self,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<Frame> {
+        match &mut self.backend {
+            Backend::Planes(cpu) => cpu.render(camera, options, outputs),
+            Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpu) => match gpu.render(camera, options, outputs) {
+                Err(e @ (Error::Device(_) | Error::Limit(_))) if self.fall_back => {
+                    tell(&format!("going on with the cpu: {e}"));
+                    self.backend = Backend::Planes(CpuRenderer::new(self.scene, self.resident));
+                    self.draw(camera, options, outputs, tell)
+                }
+                frame => frame,
+            },
+        }
+    }
+
+    /// The name of what draws, for records.
+    pub fn name(&self) -> &'static str {
+        match &self.backend {
+            Backend::Planes(_) => "cpu",
+            Backend::Exact(_) => "exact",
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(_) => "gpu",
+        }
+    }
+}
+
+/// The GPU; with `real_only`, none that a processor plays.
+#[cfg(feature = "gpu")]
+fn open_gpu<'a>(
+    scene: &'a Scene,
+    resident: &'a Resident,
+    kernel: Option<&str>,
+    real_only: bool,
+) -> Result<Backend<'a>> {
+    let kernel = kernel.map_or(Ok(GpuOptions::default().kernel), str::parse::<Kernel>)?;
+    let gpu = GpuRenderer::new(scene, resident, GpuOptions { kernel, ..GpuOptions::default() })?;
+    if real_only && gpu.is_software() {
+        return Err(Error::Device(format!("the only adapter is software ({})", gpu.device().0)));
+    }
+    Ok(Backend::Gpu(Box::new(gpu)))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open_gpu<'a>(_: &'a Scene, _: &'a Resident, _: Option<&str>, _: bool) -> Result<Backend<'a>> {
+    Err(Error::Device("this planecast was built without the feature gpu; use --device cpu".into()))
+}
