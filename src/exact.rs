@@ -60,7 +60,8 @@ pub fn cast(columns: &Columns, repeats: [bool; 2], eye: DVec3, dir: DVec3, t_max
             continue;
         }
         let (near, far) = if d > 0.0 { (0.0, n) } else { (n, 0.0) };
-        if (near - o) / d > t0 {
+        // At the far border exactly the eye is outside, though at no distance.
+        if (near - o) / d > t0 || (o >= n && (near - o) / d == t0) {
             t0 = (near - o) / d;
             entered = Some(axis);
         }

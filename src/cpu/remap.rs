@@ -370,14 +370,16 @@ fn retest(
     }
 }
 
-/// Which sample of the plane buffer each pixel takes; [`HOLE`] where no plane passes within half a pixel.
+/// Which sample of the plane buffer each pixel takes; with fewer planes than reach every pixel, [`HOLE`] where none passes
+/// within half a pixel.
 pub fn remap_index(setup: &Setup, width: u32, index: &mut [u32]) {
+    let sparse = setup.is_sparse();
     index.par_chunks_mut(width as usize).enumerate().for_each(|(r, out)| {
         let row = Row::new(setup, r as u32, width);
         for stretch in row.stretches() {
             let fan = &setup.fans[stretch.fan];
             row.gather(stretch, |x, place| {
-                let covered = row.covered(stretch, x, place);
+                let covered = !sparse || row.covered(stretch, x, place);
                 out[x] = if covered { fan.index(place.plane, place.sample) as u32 } else { HOLE };
             });
         }
