@@ -56,7 +56,7 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
         // Beyond 2⁵² an f64 no longer tells neighbouring voxels apart.
         let limit = if repeats[axis] { (1u64 << 52) as f64 } else { EYE_LIMIT };
         if !(eye[axis].abs() <= limit) {
-            return argument(format!("eye {name} = {}: must be within ±{limit:e} voxels", eye[axis]));
+            return argument(format!("eye {name} = {:?}: must be within ±{limit:e} voxels", eye[axis]));
         }
     }
     if !(options.view_distance > 0.0) {
