@@ -395,7 +395,11 @@ impl RenderArgs {
         let camera = self.pose(&scene).camera(self.size);
         let resident = Resident::new(&scene);
         let outputs = Outputs { voxel: self.voxel.is_some() };
-        let frame = self.draw.renderer(&scene, &resident)?.draw(&camera, &options, outputs, &mut tell)?;
+        let mut renderer = self.draw.renderer(&scene, &resident)?;
+        let mut frame = renderer.draw(&camera, &options, outputs, &mut tell)?;
+        if self.stats.is_some() && options.readjust && self.draw.device != Device::Exact {
+            frame.stats.readjusted_saves = renderer.spacing_saves(&camera, &options, &mut tell)?;
+        }
 
         let mut files = vec![output::write(&self.output, |out| output::png(out, &frame))?];
         if let Some(path) = &self.depth {
