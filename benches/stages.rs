@@ -4,7 +4,7 @@
 //! rocks, tiled without end, seen 40,000 voxels far with levels). `PLANECAST_BENCH_SCENE=FILE.pcast` adds a scene of your own.
 //! Beside each time stands the work of the frame: a change of work that was not meant is a fault that the bench found.
 
-use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use criterion::{Criterion, criterion_group, criterion_main};
 use planecast::cpu::traverse::{PlaneBuffer, traverse};
 use planecast::cpu::{remap, shade};
 use planecast::plane_setup::plane_setup;
@@ -64,30 +64,30 @@ fn stages(c: &mut Criterion) {
         let options = case.options;
         for pitch in [0.0, -30.0, -90.0, 30.0] {
             let camera = camera(&case.scene, pitch);
-            let id = |stage: &str| BenchmarkId::new(format!("{stage}/cpu/{}", case.name), format!("pitch {pitch}"));
+            let id = |stage: &str| format!("{stage}/cpu/{}/pitch {pitch}", case.name);
             let setup = plane_setup(&resident, &camera, &options);
             let mut buffer = PlaneBuffer::default();
             let work = traverse::<f32>(&resident, &setup, options.culling, &mut buffer, false);
             println!("{} pitch {pitch}: {} planes, {work:?}", case.name, setup.planes.len());
 
-            c.bench_function(&id("plane_setup").to_string(), |b| {
+            c.bench_function(&id("plane_setup"), |b| {
                 b.iter(|| plane_setup(&resident, black_box(&camera), &options));
             });
-            c.bench_function(&id("traverse").to_string(), |b| {
+            c.bench_function(&id("traverse"), |b| {
                 b.iter(|| traverse::<f32>(&resident, &setup, options.culling, &mut buffer, false));
             });
             let n = (SIZE[0] * SIZE[1]) as usize;
             let (mut color, mut depth) = (vec![0; n], vec![0.0; n]);
-            c.bench_function(&id("remap").to_string(), |b| {
+            c.bench_function(&id("remap"), |b| {
                 b.iter(|| remap::remap(&setup, &buffer, SIZE[0], &mut color, &mut depth));
             });
             let params = shade::ShadeParams::new(&camera, &Options { shading: Shading::Full, ..options });
             let mut out = vec![[0; 4]; n];
-            c.bench_function(&id("shade").to_string(), |b| {
+            c.bench_function(&id("shade"), |b| {
                 b.iter(|| shade::shade(&params, &color, &depth, &mut out));
             });
             let mut renderer = CpuRenderer::new(&case.scene, &resident);
-            c.bench_function(&id("frame").to_string(), |b| {
+            c.bench_function(&id("frame"), |b| {
                 b.iter(|| renderer.render(&camera, &options, Outputs::default()).expect("the camera is valid"));
             });
         }

@@ -181,13 +181,12 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
     let mut planes = Vec::with_capacity(fans.iter().map(|f| f.n_planes as usize).sum());
     let world = World::new(resident, camera, options);
     let mut samples = 0;
-    for f in 0..4 {
-        fans[f].first_plane = planes.len() as u32;
-        fans[f].first_sample = samples;
-        for k in 0..fans[f].n_planes {
-            let (at, stripe) = fans[f].place(k);
-            let mut plane = line(f, at, fans[f].far, camera, &basis);
-            let fan = &mut fans[f];
+    for (f, fan) in fans.iter_mut().enumerate() {
+        fan.first_plane = planes.len() as u32;
+        fan.first_sample = samples;
+        for k in 0..fan.n_planes {
+            let (at, stripe) = fan.place(k);
+            let mut plane = line(f, at, fan.far, camera, &basis);
             fan.flip = plane.b * plane.c - plane.a * plane.e < 0.0;
             let n = f64::from(fan.n_samples);
             if fan.flip {
