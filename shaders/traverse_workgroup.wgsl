@@ -436,13 +436,26 @@ fn resolve(lane: u32, epoch: i32, over: bool) {
             loop {
                 let h0 = height(run_first(run) << l);
                 let h1 = height(run_end(run) << l);
-                let start = sample_at(select(t0, t1, h0 > 0.0), h0);
-                let to = sample_at(select(t0, t1, h1 < 0.0), h1);
+                let start = sample_at(select(t0, t1, h0 >= 0.0), h0);
+                let to = sample_at(select(t0, t1, h1 <= 0.0), h1);
                 if ((j >= start && j < to) || k >= n_more) {
                     break;
                 }
                 k += 1u;
                 run = runs(levels[l].runs + entry.y + k);
+            }
+        }
+        // Keys rank a column's runs from the top down. Above the eye it is the lowest that a sample meets which is nearest.
+        if (entry.y != 0u && height(run_first(run) << l) > 0.0) {
+            let n_more = runs(levels[l].runs + entry.y);
+            while (k < n_more) {
+                let below = runs(levels[l].runs + entry.y + k + 1u);
+                let h0 = height(run_first(below) << l);
+                if (h0 <= 0.0 || j >= sample_at(t0, height(run_end(below) << l)) || j < sample_at(t1, h0)) {
+                    break;
+                }
+                k += 1u;
+                run = below;
             }
         }
         write_sample(j, l, cell, ix, k, run, height(run_first(run) << l), height(run_end(run) << l), t0);
