@@ -350,8 +350,9 @@ fn draw_slice(c: Slice, epoch: i32) {
 }
 
 fn draw(h0: f32, h1: f32, t0: f32, t1: f32, key: u32) {
-    var j = max(sample_at(select(t0, t1, h0 > 0.0), h0), lo);
-    let j1 = min(sample_at(select(t0, t1, h1 < 0.0), h1), hi);
+    // At the eye's own height any distance has slope 0, but for 0.
+    var j = max(sample_at(select(t0, t1, h0 >= 0.0), h0), lo);
+    let j1 = min(sample_at(select(t0, t1, h1 <= 0.0), h1), hi);
     if (j >= j1) {
         return;
     }

@@ -23,11 +23,10 @@ pub enum Device {
 
 /// Draws frames of one scene on the device that was chosen.
 pub struct Renderer<'a> {
-    scene: &'a Scene,
-    resident: &'a Resident,
     backend: Backend<'a>,
-    /// Whether a GPU that fails is replaced by the CPU.
-    fall_back: bool,
+    /// What replaces a GPU that fails; `None` where it was asked for by name.
+    #[cfg(feature = "gpu")]
+    fall_back: Option<(&'a Scene, &'a Resident)>,
 }
 
 enum Backend<'a> {
@@ -72,7 +71,11 @@ impl<'a> Renderer<'a> {
             },
             Device::Gpu => open_gpu(scene, resident, kernel, false)?,
         };
-        let renderer = Renderer { scene, resident, backend, fall_back: device == Device::Auto };
+        let renderer = Renderer {
+            backend,
+            #[cfg(feature = "gpu")]
+            fall_back: (device == Device::Auto).then_some((scene, resident)),
+        };
         #[cfg(feature = "gpu")]
         if let (Backend::Gpu(gpu), Device::Auto) = (&renderer.backend, device) {
             tell(&format!("drawing on the gpu: {}", gpu.device().0));
@@ -88,14 +91,17 @@ impl<'a> Renderer<'a> {
         outputs: Outputs,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Frame> {
+        #[cfg(not(feature = "gpu"))]
+        let _ = tell;
         match &mut self.backend {
             Backend::Planes(cpu) => cpu.render(camera, options, outputs),
             Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpu) => match gpu.render(camera, options, outputs) {
-                Err(e @ (Error::Device(_) | Error::Limit(_))) if self.fall_back => {
+                Err(e @ (Error::Device(_) | Error::Limit(_))) => {
+                    let Some((scene, resident)) = self.fall_back else { return Err(e) };
                     tell(&format!("going on with the cpu: {e}"));
-                    self.backend = Backend::Planes(CpuRenderer::new(self.scene, self.resident));
+                    self.backend = Backend::Planes(CpuRenderer::new(scene, resident));
                     self.draw(camera, options, outputs, tell)
                 }
                 frame => frame,
