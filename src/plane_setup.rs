@@ -320,10 +320,10 @@ fn readjust(fan: &mut Fan, f: usize, vanishing: [f64; 3], extent: (f64, f64), w:
     let rho = ((distance - depth) / distance).clamp(0.0, 1.0);
     let pixels = 1.5 * (1.0 + rho) / (1.0 + rho + rho * rho);
     let q = |at: f64| crowd((at - centre) / distance);
-    // Not half a pixel at either end: a vanishing point on a pixel's centre would put that pixel's column on the border of
-    // two stripes, and rounding would choose.
-    let (lo, hi) = (q(extent.0 - 0.4), q(extent.1 + 0.6));
-    let n = ((hi - lo) * distance / pixels).ceil().max(1.0);
+    let (lo, hi) = (q(extent.0 - 0.5), q(extent.1 + 0.5));
+    // An odd number: a vanishing point on a pixel's centre, between extents that are alike, would else put that pixel's
+    // column on the border of two stripes, and rounding would choose.
+    let n = 2.0 * ((hi - lo) * distance / pixels / 2.0).floor() + 1.0;
     if !(n.is_finite() && n < f64::from(fan.n_planes)) {
         return;
     }
