@@ -675,52 +675,56 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             (floor(lo), floor(hi).saturating_add(1))
         };
         let (mut below, mut above) = whole((lo, hi));
+        let n = rest.len() + 1;
         let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
         let first = |run: Run| (u32::from(run.first()) << l) as i32;
         let end = |run: Run| (run.end() << l) as i32;
         // How many runs, from the top down, start at `y` or above.
         let starting = |y: i32| if first(top) < y { 0 } else { 1 + rest.partition_point(|&r| first(Run(r)) >= y) };
-        let over = starting(eye + 1);
-        let mut k = over;
-        if rest.len() > 8 {
-            // Binary search for the first run that reaches down into the window.
-            k = k.max(starting(above));
+        // From the eye outwards: first the runs that do not start above it, downwards, then those above, upwards.
+        let (mut over, mut k) = (0, 0);
+        if n > 8 {
+            // Of many runs, binary search for the first that the window holds.
+            over = starting(eye + 1);
+            k = over.max(starting(above));
+        } else {
+            while over < n && first(run(over)) > eye {
+                over += 1;
+            }
+            k = k.max(over);
         }
-        while k <= rest.len() {
+        let mut step = 1;
+        loop {
+            if k >= n {
+                // Past the lowest run; or, upwards, past the highest: there `k` has wrapped round.
+                if step < 0 || over == 0 {
+                    return;
+                }
+                step = -1;
+                k = if n > 8 { over.min(1 + rest.partition_point(|&r| end(Run(r)) > below)) } else { over };
+                k = k.wrapping_sub(1);
+                continue;
+            }
             self.counters.runs_visited += 1;
             let run = run(k);
             if end(run) <= below {
-                break;
-            }
-            if first(run) < above && self.draw_run(level, l, column, run, k as u32, t0, t1) {
+                if step > 0 {
+                    k = n;
+                    continue;
+                }
+            } else if first(run) >= above {
+                if step < 0 {
+                    return;
+                }
+            } else if self.draw_run(level, l, column, run, k as u32, t0, t1) {
                 if self.closed() {
                     return;
                 }
-                if !rest.is_empty() {
+                if n > 1 {
                     (below, above) = whole(self.visible(t0, t1));
                 }
             }
-            k += 1;
-        }
-        let mut k = over;
-        if over > 8 {
-            k = k.min(1 + rest.partition_point(|&r| end(Run(r)) > below));
-        }
-        while k > 0 {
-            k -= 1;
-            self.counters.runs_visited += 1;
-            let run = run(k);
-            if first(run) >= above {
-                return;
-            }
-            if end(run) > below && self.draw_run(level, l, column, run, k as u32, t0, t1) {
-                if self.closed() {
-                    return;
-                }
-                if k > 0 {
-                    (below, above) = whole(self.visible(t0, t1));
-                }
-            }
+            k = k.wrapping_add_signed(step);
         }
     }
 
