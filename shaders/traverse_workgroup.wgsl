@@ -2,15 +2,21 @@
 // Twin: src/cpu/traverse.rs (same picture, other order of work). Grid: a workgroup a plane.
 //
 // The plane's ray is cut into slices along its longer axis; a slice meets at most two columns. Slices are taken in
-// batches of WIDTH, a lane a slice, so that the loads of a whole batch are in flight together. Spans go into a line of
-// keys by atomicMin, nearest slice first, so a batch needs no order; between batches the window shrinks. Long spans
-// cost little: the line has a second row of keys, one for each 16 samples. What a sample shows is worked out once, from
-// its key, when the walk is over.
+// batches of WIDTH, a lane a slice, so that the loads of a whole batch are in flight together. Spans become keys by
+// atomicMin, nearest slice first, so a batch needs no order; between batches the window shrinks. What a sample shows is
+// worked out once, from its key, when the walk is over.
 //
 //   key | slice and column 20 | run 12 |   0: shown already, ~0: open; run saturates, the rest is then searched for
 //
-// Ahead of the batches, groups of GROUP slices are tested against the height bounds of the blocks they meet; only those
-// that can show are walked.
+// Workgroup memory decides how many planes a processor holds at once, so there is one key a sample, and for each block
+// of BLOCK samples three more. Most spans reach the window's lower end (ground is solid down from its surface), some its
+// upper end: such a span is noted once, at the last block that it fills (`rising`, `hanging`), and a block shows the
+// least key noted from there on (`settle`). That holds over batches too: a later span has a greater key than whatever
+// closed the window before it. A span that floats in the window is noted at each block it fills, and every span at the
+// samples of the blocks that it fills in part.
+//
+// Ahead of the batches, groups of GROUP slices are tested against the height bounds of the blocks they meet, a lane a
+// group, once more before each batch with the window as it is then; only those that can show are walked.
 //!include shared/frame.wgsl
 //!include shared/plane.wgsl
 //!include shared/scene.wgsl
@@ -18,9 +24,10 @@
 
 // Lanes; a multiple of 32, at most 256.
 override WIDTH: u32 = 128u;
-// Keys in the line's two rows.
+// Keys in the rows.
 override FINE: u32 = 1024u;
 override ROUGH: u32 = 64u;
+const BLOCK: i32 = 16;
 
 const OPEN: u32 = 0xffffffffu;
 const RUN_BITS: u32 = 12u;
@@ -29,37 +36,62 @@ const RUN_MANY: u32 = 4095u;
 const EPOCH: i32 = 520000;
 const GROUP: i32 = BLOCK_SIZE;
 
+// Rows: a key a sample; then a key a block of what fills it, of what fills all below it, of what fills all above it.
 //!if STORAGE_KEYS
 @group(0) @binding(7) var<storage, read_write> keys: array<atomic<u32>>;
 var<private> keys_at: u32;
 //!else
-var<workgroup> keys: array<atomic<u32>, FINE + ROUGH>;
+var<workgroup> keys: array<atomic<u32>, FINE + 3u * ROUGH>;
 const keys_at: u32 = 0u;
 //!endif
 
-// For each level: where it begins and ends, its first and last slice's cell, and slices and groups of the levels before.
+// For each level: where it begins, its first slice's cell, and slices and groups of the levels before.
 var<workgroup> level_t: array<f32, MAX_LEVELS + 1>;
-var<workgroup> level_cells: array<vec2<i32>, MAX_LEVELS>;
+var<workgroup> level_cell: array<i32, MAX_LEVELS>;
 var<workgroup> level_slice: array<i32, MAX_LEVELS + 1>;
 var<workgroup> level_group: array<i32, MAX_LEVELS + 1>;
 
-// Groups of the stretch that can show, one bit each, and as a list.
-var<workgroup> survive: array<atomic<u32>, 8>;
-var<workgroup> survivors: array<u32, WIDTH>;
-// First and one past the last unfilled sample; three in turn, so that one barrier separates use from reset.
-var<workgroup> open_lo: array<atomic<i32>, 3>;
-var<workgroup> open_hi: array<atomic<i32>, 3>;
+// The groups under test, level 5 | number within the level 27; in `settle` least keys of parts of two rows.
+var<workgroup> listed: array<u32, WIDTH + 32u>;
+// What a batch leaves for all lanes; in turn, so that one barrier separates use from reset.
+struct Turn {
+    // Groups that can show, one bit each.
+    survive: array<atomic<u32>, 8>,
+    // How far spans from the window's ends reach.
+    lo: atomic<i32>,
+    hi: atomic<i32>,
+    // First and one past the last unfilled sample.
+    open_lo: atomic<i32>,
+    open_hi: atomic<i32>,
+}
+var<workgroup> turns: array<Turn, 3>;
+// Whether any span floats.
+var<workgroup> floats: atomic<u32>;
 var<workgroup> counts: array<atomic<u32>, 3>;
 
+// The plane's ray along its longer axis (major) and the other: the eye's cell and place in it, direction and inverse.
 var<private> major: u32;
-var<private> minor: u32;
-var<private> step: vec2<i32>;
-var<private> ahead: vec2<i32>;
+var<private> cell_major: i32;
+var<private> cell_minor: i32;
+var<private> fract_major: f32;
+var<private> fract_minor: f32;
+var<private> dir_minor: f32;
+var<private> inverse_major: f32;
+var<private> inverse_minor: f32;
+var<private> step_major: i32;
+var<private> step_minor: i32;
+var<private> ahead_major: i32;
+var<private> ahead_minor: i32;
+var<private> repeats_major: bool;
+var<private> repeats_minor: bool;
 
-// The open window and the slopes at its ends.
+// The open window and slopes just below the centres of its first sample and just above its last's.
 var<private> lo: i32;
 var<private> hi: i32;
 var<private> s: vec2<f32>;
+// How far this lane's spans reach from the window's ends.
+var<private> reach_lo: i32;
+var<private> reach_hi: i32;
 
 var<private> n_columns: u32;
 var<private> n_runs: u32;
@@ -73,33 +105,96 @@ fn sync() {
 //!endif
 }
 
-fn is_open(j: i32) -> bool {
-    return atomicLoad(&keys[keys_at + u32(j)]) == OPEN && atomicLoad(&keys[keys_at + FINE + (u32(j) >> 4u)]) == OPEN;
+fn sample(j: i32) -> u32 {
+    return keys_at + u32(j);
 }
 
-// A stretch of the plane's ray between two lines of its longer axis.
+fn filled(block: i32) -> u32 {
+    return keys_at + FINE + u32(block);
+}
+
+fn rising(block: i32) -> u32 {
+    return keys_at + FINE + ROUGH + u32(block);
+}
+
+fn hanging(block: i32) -> u32 {
+    return keys_at + FINE + 2u * ROUGH + u32(block);
+}
+
+fn key_of(j: i32) -> u32 {
+    return min(atomicLoad(&keys[sample(j)]), atomicLoad(&keys[filled(j / BLOCK)]));
+}
+
+fn is_open(j: i32) -> bool {
+    return key_of(j) == OPEN;
+}
+
+fn cross_major(line: i32) -> f32 {
+    return (f32(line - cell_major) - fract_major) * inverse_major;
+}
+
+fn cross_minor(line: i32) -> f32 {
+    return select((f32(line - cell_minor) - fract_minor) * inverse_minor, STEEP, dir_minor == 0.0);
+}
+
+// A stretch of the plane's ray between two lines of its longer axis, and its columns: the first to tm, the second, if
+// there is one, from there on.
 struct Slice {
-    l: u32,
-    cell: i32,
     t0: f32,
     t1: f32,
+    first: i32,
+    second: i32,
+    tm: f32,
+    two: bool,
+}
+
+// The minor cell at t, and where the ray leaves it; within the world.
+struct Minor {
+    at: i32,
+    leaves: f32,
+}
+
+fn minor_at(l: u32, t: f32) -> Minor {
+    var at = (i32(floor(fract_minor + t * dir_minor)) + cell_minor) >> l;
+    var leaves = cross_minor((at + ahead_minor) << l);
+    // Estimated, then put right by the crossings.
+    if (leaves <= t) {
+        at += step_minor;
+        leaves = cross_minor((at + ahead_minor) << l);
+    } else if (dir_minor != 0.0 && cross_minor((at + 1 - ahead_minor) << l) > t) {
+        at -= step_minor;
+        leaves = cross_minor((at + ahead_minor) << l);
+    }
+    if (!repeats_minor) {
+        let within = clamp(at, 0, levels[l].size[1u - major] - 1);
+        if (within != at) {
+            at = within;
+            leaves = cross_minor((at + ahead_minor) << l);
+        }
+    }
+    return Minor(at, leaves);
 }
 
 fn slice_of(l: u32, cell: i32) -> Slice {
-    let t0 = max(cross_axis(major, (cell + 1 - ahead[major]) << l), level_t[l]);
-    let t1 = min(cross_axis(major, (cell + ahead[major]) << l), level_t[l + 1u]);
-    return Slice(l, cell, t0, t1);
+    var c: Slice;
+    c.t0 = max(cross_major((cell + 1 - ahead_major) << l), level_t[l]);
+    c.t1 = min(cross_major((cell + ahead_major) << l), level_t[l + 1u]);
+    if (c.t0 >= frame.equidistant) {
+        c.first = (i32(floor(fract_minor + (c.t0 + c.t1) * 0.5 * dir_minor)) + cell_minor) >> l;
+        c.tm = c.t1;
+        return c;
+    }
+    let at = minor_at(l, c.t0);
+    c.first = at.at;
+    c.second = at.at + step_minor;
+    c.tm = max(at.leaves, c.t0);
+    c.two = c.tm < c.t1;
+    c.tm = min(c.tm, c.t1);
+    return c;
 }
 
-// The minor cell at t, within the world.
-fn minor_cell(l: u32, t: f32) -> i32 {
-    let at = locate(minor, t, l);
-    let repeats = select(frame.repeat_x, frame.repeat_z, minor == 1u);
-    return select(clamp(at, 0, levels[l].size[minor] - 1), at, repeats == 1u);
-}
-
-fn cell_of(major_cell: i32, minor_cell: i32) -> vec2<i32> {
-    return select(vec2(minor_cell, major_cell), vec2(major_cell, minor_cell), major == 0u);
+fn cell_of(along: i32, across: i32) -> vec2<i32> {
+    return select(vec2(across, along), vec2(along, across), major == 0u);
 }
 
 fn column_at(l: u32, cell: vec2<i32>) -> u32 {
@@ -111,40 +206,47 @@ fn inside(l: u32, cell: vec2<i32>) -> bool {
     return (within.x || frame.repeat_x == 1u) && (within.y || frame.repeat_z == 1u);
 }
 
-// A slice's columns: the first to tm, the second, if there is one, from there on.
-struct Pair {
-    first: i32,
-    second: i32,
-    tm: f32,
-    two: bool,
+// Slopes just within the window: what meets no sample's centre need not be drawn.
+fn window_slopes() -> vec2<f32> {
+    return vec2(slope_at(f32(lo) + 0.45), slope_at(f32(hi) - 0.45));
 }
 
-fn pair_of(c: Slice) -> Pair {
-    if (c.t0 >= frame.equidistant) {
-        let axis = minor;
-        let eye = select(frame.eye_cell.x, frame.eye_cell.z, axis == 1u);
-        let fract = select(frame.eye_fract.x, frame.eye_fract.z, axis == 1u);
-        let at = (i32(floor(fract + (c.t0 + c.t1) * 0.5 * plane.dir[axis])) + eye) >> c.l;
-        return Pair(at, at, c.t1, false);
+fn reset_turn(turn: u32) {
+    for (var w = 0u; w < 8u; w++) {
+        atomicStore(&turns[turn].survive[w], 0u);
     }
-    let at = minor_cell(c.l, c.t0);
-    let tm = cross_axis(minor, (at + ahead[minor]) << c.l);
-    return Pair(at, at + step[minor], max(tm, c.t0), tm < c.t1);
+    atomicStore(&turns[turn].lo, -1);
+    atomicStore(&turns[turn].hi, I32_MAX);
+    atomicStore(&turns[turn].open_lo, I32_MAX);
+    atomicStore(&turns[turn].open_hi, -1);
 }
 
 // Lays out the levels along the plane.
 fn begin(lane: u32) {
     major = select(0u, 1u, abs(plane.dir.y) > abs(plane.dir.x));
-    minor = 1u - major;
-    step = select(vec2(1), vec2(-1), plane.dir < vec2(0.0));
-    ahead = select(vec2(0), vec2(1), step > vec2(0));
-    for (var i = lane; i < FINE + ROUGH; i += WIDTH) {
+    let along_x = major == 0u;
+    cell_major = select(frame.eye_cell.z, frame.eye_cell.x, along_x);
+    cell_minor = select(frame.eye_cell.x, frame.eye_cell.z, along_x);
+    fract_major = select(frame.eye_fract.z, frame.eye_fract.x, along_x);
+    fract_minor = select(frame.eye_fract.x, frame.eye_fract.z, along_x);
+    dir_minor = select(plane.dir.x, plane.dir.y, along_x);
+    inverse_major = select(plane.inverse.y, plane.inverse.x, along_x);
+    inverse_minor = select(plane.inverse.x, plane.inverse.y, along_x);
+    step_major = select(1, -1, inverse_major < 0.0);
+    step_minor = select(1, -1, dir_minor < 0.0);
+    ahead_major = select(0, 1, step_major > 0);
+    ahead_minor = select(0, 1, step_minor > 0);
+    repeats_major = select(frame.repeat_z, frame.repeat_x, along_x) == 1u;
+    repeats_minor = select(frame.repeat_x, frame.repeat_z, along_x) == 1u;
+    for (var i = lane; i < FINE + 3u * ROUGH; i += WIDTH) {
         atomicStore(&keys[keys_at + i], OPEN);
     }
     if (lane < 3u) {
-        atomicStore(&open_lo[lane], I32_MAX);
-        atomicStore(&open_hi[lane], -1);
+        reset_turn(lane);
         atomicStore(&counts[lane], 0u);
+    }
+    if (lane == 0u) {
+        atomicStore(&floats, 0u);
     }
     for (var l = lane; l < frame.levels; l += WIDTH) {
         var start = plane.t_start;
@@ -160,17 +262,17 @@ fn begin(lane: u32) {
         var cells = vec2(0);
         var n = vec2(0);
         if (l >= plane.lod_first && to > start) {
-            cells.x = plane.cell[major] >> l;
+            cells.x = select(plane.cell.y, plane.cell.x, along_x) >> l;
             if (start > plane.t_start) {
                 cells.x = locate(major, start, l);
             }
             cells.y = locate(major, to, l);
-            n.x = max((cells.y - cells.x) * step[major], 0) + 1;
-            n.y = max(((cells.y >> BLOCK_SHIFT) - (cells.x >> BLOCK_SHIFT)) * step[major], 0) + 1;
+            n.x = max((cells.y - cells.x) * step_major, 0) + 1;
+            n.y = max(((cells.y >> BLOCK_SHIFT) - (cells.x >> BLOCK_SHIFT)) * step_major, 0) + 1;
         } else {
             to = start;
         }
-        level_cells[l] = cells;
+        level_cell[l] = cells.x;
         level_t[l] = start;
         level_slice[l] = n.x;
         level_group[l] = n.y;
@@ -193,7 +295,7 @@ fn begin(lane: u32) {
     sync();
     lo = plane.first;
     hi = plane.end;
-    s = vec2(s_first, s_end);
+    s = window_slopes();
 }
 
 fn level_of_group(g: i32) -> u32 {
@@ -204,33 +306,37 @@ fn level_of_group(g: i32) -> u32 {
     return l;
 }
 
-// Whether any block that a group of slices meets may show something.
-fn group_shows(g: i32) -> bool {
-    let l = level_of_group(g);
-    let size = levels[l].size;
-    let group = (level_cells[l].x >> BLOCK_SHIFT) + (g - level_group[l]) * step[major];
-    // The group's slices on their way, nearest first.
-    let near = select(group * GROUP + GROUP - 1, group * GROUP, step[major] > 0);
-    let t0 = max(cross_axis(major, (near + 1 - ahead[major]) << l), level_t[l]);
-    let far = near + (GROUP - 1) * step[major];
-    let t1 = min(cross_axis(major, (far + ahead[major]) << l), level_t[l + 1u]);
-    if (t1 <= t0) {
-        return false;
+// A group of slices: where it lies, and the heights of what stands there.
+struct Group {
+    t0: f32,
+    t1: f32,
+    bottom: f32,
+    top: f32,
+}
+
+// The first cell, in order of numbers, of a group of level l.
+fn group_cell(l: u32, n: i32) -> i32 {
+    return ((level_cell[l] >> BLOCK_SHIFT) + n * step_major) * GROUP;
+}
+
+fn group_of(l: u32, n: i32) -> Group {
+    var out: Group;
+    let cell = group_cell(l, n);
+    out.t0 = max(cross_major((cell + select(GROUP, 0, step_major > 0)) << l), level_t[l]);
+    out.t1 = min(cross_major((cell + select(0, GROUP, step_major > 0)) << l), level_t[l + 1u]);
+    out.bottom = frame.bottom;
+    out.top = frame.top;
+    if (!COARSE || out.t1 <= out.t0 || !can_show(out)) {
+        return out;
     }
-    if (!COARSE) {
-        return true;
-    }
-    if ((s.x > 0.0 && s.x * t0 >= frame.top) || (s.y < 0.0 && s.y * t0 <= frame.bottom)) {
-        return false;
-    }
-    let v = visible(s, t0, t1);
-    let ends = vec2(minor_cell(l, t0), minor_cell(l, t1));
+    out.bottom = F32_MAX;
+    out.top = -F32_MAX;
+    let ends = vec2(minor_at(l, out.t0).at, minor_at(l, out.t1).at);
     let last = max(ends.x, ends.y);
-    let size_minor = size[minor];
-    let size_major = size[major];
-    let repeats_major = select(frame.repeat_x, frame.repeat_z, major == 1u) == 1u;
+    let size_major = levels[l].size[major];
+    let size_minor = levels[l].size[1u - major];
     // Along each axis blocks end at multiples of their size and at the seam of a repeated world.
-    var a = group * GROUP;
+    var a = cell;
     var a_end = a + GROUP;
     if (!repeats_major) {
         a = max(a, 0);
@@ -243,138 +349,189 @@ fn group_shows(g: i32) -> bool {
             let wb = wrap(b, size_minor);
             let w = cell_of(wa, wb);
             let block = blocks(levels[l].blocks + u32(w.y >> BLOCK_SHIFT) * levels[l].blocks_row + u32(w.x >> BLOCK_SHIFT));
-            if (block != EMPTY && height(run_end(block) << l) > v.x && height(run_first(block) << l) < v.y) {
-                return true;
+            if (block != EMPTY) {
+                out.bottom = min(out.bottom, height(run_first(block) << l));
+                out.top = max(out.top, height(run_end(block) << l));
             }
             b += min((wb | (BLOCK_SIZE - 1)) + 1, size_minor) - wb;
         }
         a += min((wa | (BLOCK_SIZE - 1)) + 1, size_major) - wa;
     }
-    return false;
+    return out;
 }
 
-// Slice number i of a group, nearest first; without length where the level does not have it.
-fn group_slice(g: i32, i: i32) -> Slice {
-    let l = level_of_group(g);
-    let group = (level_cells[l].x >> BLOCK_SHIFT) + (g - level_group[l]) * step[major];
-    let cell = group * GROUP + select(GROUP - 1 - i, i, step[major] > 0);
-    let along = (cell - level_cells[l].x) * step[major];
-    if (along < 0 || along > (level_cells[l].y - level_cells[l].x) * step[major]) {
-        return Slice(l, cell, 0.0, 0.0);
+fn can_show(group: Group) -> bool {
+    if (!COARSE) {
+        return true;
     }
-    return slice_of(l, cell);
+    let v = visible(s, group.t0, group.t1);
+    return group.top > v.x && group.bottom < v.y;
 }
 
-fn slice_number(c: Slice) -> i32 {
-    return level_slice[c.l] + (c.cell - level_cells[c.l].x) * step[major];
+// Place of set bit number n.
+fn nth_bit(bits: u32, n: u32) -> u32 {
+    var left = n;
+    var rest = bits;
+    var at = 0u;
+    for (var half = 16u; half > 0u; half >>= 1u) {
+        let below = countOneBits(rest & ((1u << half) - 1u));
+        if (left >= below) {
+            left -= below;
+            rest >>= half;
+            at += half;
+        }
+    }
+    return at;
 }
 
 // Draws what a slice's columns show into the keys.
-fn draw_slice(c: Slice, epoch: i32) {
-    let pair = pair_of(c);
-    let order = u32(slice_number(c) - epoch) * 2u + 1u;
-    let cell0 = cell_of(c.cell, pair.first);
-    let cell1 = cell_of(c.cell, pair.second);
-    var pending = pair.two && inside(c.l, cell1);
-    var entry = vec2(EMPTY, 0u);
-    var later = entry;
+fn draw_slice(l: u32, cell: i32, epoch: i32) {
+    let along = (cell - level_cell[l]) * step_major;
+    let c = slice_of(l, cell);
+    // The first and the last group of a level may begin before it and end after it.
+    if (along < 0 || along >= level_slice[l + 1u] - level_slice[l] || c.t1 <= c.t0) {
+        return;
+    }
+    let key = (u32(level_slice[l] + along - epoch) * 2u + 1u) << RUN_BITS;
+    let cell0 = cell_of(cell, c.first);
+    let cell1 = cell_of(cell, c.second);
+    var entry0 = vec2(EMPTY, 0u);
+    var entry1 = entry0;
     // Both loads in flight together.
-    if (inside(c.l, cell0)) {
-        entry = columns(levels[c.l].columns + column_at(c.l, cell0));
+    if (inside(l, cell0)) {
+        entry0 = columns(levels[l].columns + column_at(l, cell0));
         n_columns += 1u;
     }
-    if (pending) {
-        later = columns(levels[c.l].columns + column_at(c.l, cell1));
+    if (c.two && inside(l, cell1)) {
+        entry1 = columns(levels[l].columns + column_at(l, cell1));
         n_columns += 1u;
     }
+    // How many runs lie below the top ones, and the first of them, all in flight together as well.
+    let below0 = runs_below(l, entry0.y);
+    let below1 = runs_below(l, entry1.y);
+    // Both columns' runs in one loop: lanes of few runs wait for those of many only once.
     var t0 = c.t0;
-    var t1 = select(c.t1, pair.tm, pair.two);
-    var key = order << RUN_BITS;
-    var v = visible(s, t0, t1);
+    var t1 = c.tm;
+    var run = entry0.x;
+    var more = levels[l].runs + entry0.y;
+    var n_more = below0.x;
+    var next = below0.y;
+    var second = false;
     var k = 0u;
-    var run = entry.x;
-    var n_more = 0u;
-    var more = 0u;
     loop {
-        var done = run == EMPTY;
-        if (!done) {
+        var go_on = false;
+        if (run != EMPTY) {
             n_runs += 1u;
-            let h0 = height(run_first(run) << c.l);
-            let h1 = height(run_end(run) << c.l);
-            done = h1 <= v.x;
-            if (!done && h0 < v.y) {
-                draw(h0, h1, t0, t1, key | min(k, RUN_MANY));
-            }
-            if (!done && entry.y != 0u) {
-                if (k == 0u) {
-                    more = levels[c.l].runs + entry.y;
-                    n_more = runs(more);
-                    if (h0 >= v.y && n_more > 8u) {
-                        // All above the window: binary search for the first run that reaches down into it.
-                        var start = 0u;
-                        var to = n_more;
-                        while (start < to) {
-                            let mid = (start + to) / 2u;
-                            if (height(run_first(runs(more + 1u + mid)) << c.l) >= v.y) {
-                                start = mid + 1u;
-                            } else {
-                                to = mid;
-                            }
-                        }
-                        k = start;
+            let v = visible(s, t0, t1);
+            let h0 = height(run_first(run) << l);
+            let h1 = height(run_end(run) << l);
+            go_on = k < n_more && h0 > v.x;
+            if (k == 0u && h0 >= v.y && n_more > 8u) {
+                // All above the window: binary search for the first run that reaches down into it.
+                var to = n_more;
+                while (k < to) {
+                    let mid = (k + to) / 2u;
+                    if (height(run_first(runs(more + 1u + mid)) << l) >= v.y) {
+                        k = mid + 1u;
+                    } else {
+                        to = mid;
                     }
                 }
-                done = k >= n_more;
-                if (!done) {
-                    k += 1u;
-                    run = runs(more + k);
-                }
-            } else {
-                done = true;
+                go_on = k < n_more;
+                next = runs(more + min(k + 1u, n_more));
+            }
+            if (h1 > v.x && h0 < v.y) {
+                draw(h0, h1, t0, t1, key + select(0u, 1u << RUN_BITS, second) + min(k, RUN_MANY));
             }
         }
-        if (done) {
-            if (!pending) {
-                break;
-            }
-            pending = false;
-            t0 = pair.tm;
+        if (go_on) {
+            k += 1u;
+            run = next;
+            // On its way while this one is drawn.
+            next = runs(more + min(k + 1u, n_more));
+        } else if (!second) {
+            second = true;
+            t0 = c.tm;
             t1 = c.t1;
-            key = (order + 1u) << RUN_BITS;
-            v = visible(s, t0, t1);
+            run = entry1.x;
+            more = levels[l].runs + entry1.y;
+            n_more = below1.x;
+            next = below1.y;
             k = 0u;
-            entry = later;
-            run = entry.x;
+        } else {
+            break;
         }
     }
+}
+
+// Number of a column's runs below the top one, and the first of those; `at`: where they stand, 0 for none.
+fn runs_below(l: u32, at: u32) -> vec2<u32> {
+    let n = runs(levels[l].runs + at);
+    let first = runs(levels[l].runs + at + select(0u, 1u, at != 0u));
+    return select(vec2(0u), vec2(n, first), at != 0u);
 }
 
 fn draw(h0: f32, h1: f32, t0: f32, t1: f32, key: u32) {
     // At the eye's own height any distance has slope 0, but for 0.
-    var j = max(sample_at(select(t0, t1, h0 >= 0.0), h0), lo);
-    let j1 = min(sample_at(select(t0, t1, h1 <= 0.0), h1), hi);
+    let t_low = select(t0, t1, h0 >= 0.0);
+    let t_high = select(t0, t1, h1 <= 0.0);
+    var j = lo;
+    if (h0 > s.x * t_low) {
+        j = max(sample_at(t_low, h0), lo);
+    }
+    var j1 = hi;
+    if (h1 < s.y * t_high) {
+        j1 = min(sample_at(t_high, h1), hi);
+    }
     if (j >= j1) {
         return;
     }
     n_spans += 1u;
-    while (j < j1) {
-        if ((j & 15) == 0 && j + 16 <= j1) {
-            atomicMin(&keys[keys_at + FINE + (u32(j) >> 4u)], key);
-            j += 16;
-        } else {
-            atomicMin(&keys[keys_at + u32(j)], key);
-            j += 1;
+    // The blocks that the span fills, but for what lies outside the window.
+    var block = (j + BLOCK - 1) / BLOCK;
+    var end = j1 / BLOCK;
+    if (j == lo) {
+        reach_lo = max(reach_lo, j1);
+        if (end * BLOCK > j) {
+            atomicMin(&keys[rising(end - 1)], key);
+            j = end * BLOCK;
         }
+    } else if (j1 == hi) {
+        reach_hi = min(reach_hi, j);
+        if (block * BLOCK < j1) {
+            atomicMin(&keys[hanging(block)], key);
+            j1 = block * BLOCK;
+        }
+    } else {
+        atomicStore(&floats, 1u);
+        if (block < end) {
+            let after = end * BLOCK;
+            for (var i = after; i < j1; i++) {
+                atomicMin(&keys[sample(i)], key);
+            }
+            j1 = block * BLOCK;
+            for (; block < end; block++) {
+                atomicMin(&keys[filled(block)], key);
+            }
+        }
+    }
+    for (; j < j1; j++) {
+        atomicMin(&keys[sample(j)], key);
     }
 }
 
 // Shrinks the window to its unfilled samples; call with all lanes, after a barrier.
 fn shrink(lane: u32, turn: u32) {
-    if (HORIZON) {
+    if (!HORIZON) {
+        return;
+    }
+    lo = max(lo, atomicLoad(&turns[turn].lo));
+    hi = min(hi, atomicLoad(&turns[turn].hi));
+    if (lo < hi && atomicLoad(&floats) == 1u && !(is_open(lo) && is_open(hi - 1))) {
         for (var j = lo + i32(lane); j < hi; j += i32(WIDTH)) {
             if (is_open(j)) {
                 if (j == lo || !is_open(j - 1)) {
-                    atomicMin(&open_lo[turn], j);
+                    atomicMin(&turns[turn].open_lo, j);
                 }
                 break;
             }
@@ -382,27 +539,64 @@ fn shrink(lane: u32, turn: u32) {
         for (var j = hi - 1 - i32(lane); j >= lo; j -= i32(WIDTH)) {
             if (is_open(j)) {
                 if (j == hi - 1 || !is_open(j + 1)) {
-                    atomicMax(&open_hi[turn], j + 1);
+                    atomicMax(&turns[turn].open_hi, j + 1);
                 }
                 break;
             }
         }
         sync();
-        lo = atomicLoad(&open_lo[turn]);
-        hi = atomicLoad(&open_hi[turn]);
-        if (lane == 0u) {
-            let next = (turn + 2u) % 3u;
-            atomicStore(&open_lo[next], I32_MAX);
-            atomicStore(&open_hi[next], -1);
-        }
-        s = vec2(edge_slope(lo), edge_slope(hi));
+        lo = atomicLoad(&turns[turn].open_lo);
+        hi = atomicLoad(&turns[turn].open_hi);
     }
+    s = window_slopes();
+}
+
+// Brings the blocks' keys together: the nearest span that fills each. Call with all lanes.
+fn settle(lane: u32) {
+    sync();
+    // 32 lanes have a stretch of blocks each; rising spans are handed down, hanging spans up.
+    let each = (i32(ROUGH) + 31) / 32;
+    let first = min(i32(lane) * each, i32(ROUGH));
+    let end = select(0, min(first + each, i32(ROUGH)), lane < 32u);
+    if (lane < 32u) {
+        var rise = OPEN;
+        var hang = OPEN;
+        for (var b = first; b < end; b++) {
+            rise = min(rise, atomicLoad(&keys[rising(b)]));
+            hang = min(hang, atomicLoad(&keys[hanging(b)]));
+        }
+        listed[lane] = rise;
+        listed[lane + 32u] = hang;
+    }
+    sync();
+    if (lane < 32u) {
+        var rise = OPEN;
+        for (var k = lane + 1u; k < 32u; k++) {
+            rise = min(rise, listed[k]);
+        }
+        for (var b = end - 1; b >= first; b--) {
+            rise = min(rise, atomicLoad(&keys[rising(b)]));
+            atomicMin(&keys[filled(b)], rise);
+            atomicStore(&keys[rising(b)], OPEN);
+        }
+        var hang = OPEN;
+        for (var k = 0u; k < lane; k++) {
+            hang = min(hang, listed[k + 32u]);
+        }
+        for (var b = first; b < end; b++) {
+            hang = min(hang, atomicLoad(&keys[hanging(b)]));
+            atomicMin(&keys[filled(b)], hang);
+            atomicStore(&keys[hanging(b)], OPEN);
+        }
+    }
+    sync();
 }
 
 // Works out what the keys say, and what is still open where the walk is over.
 fn resolve(lane: u32, epoch: i32, over: bool) {
+    settle(lane);
     for (var j = plane.first + i32(lane); j < plane.end; j += i32(WIDTH)) {
-        let key = min(atomicLoad(&keys[keys_at + u32(j)]), atomicLoad(&keys[keys_at + FINE + (u32(j) >> 4u)]));
+        let key = key_of(j);
         if (key == 0u) {
             continue;
         }
@@ -418,12 +612,12 @@ fn resolve(lane: u32, epoch: i32, over: bool) {
         while (n >= level_slice[l + 1u]) {
             l += 1u;
         }
-        let c = slice_of(l, level_cells[l].x + (n - level_slice[l]) * step[major]);
-        let pair = pair_of(c);
+        let cell_along = level_cell[l] + (n - level_slice[l]) * step_major;
+        let c = slice_of(l, cell_along);
         let second = (order & 1u) == 1u;
-        let cell = cell_of(c.cell, select(pair.first, pair.second, second));
-        let t0 = select(c.t0, pair.tm, second);
-        let t1 = select(select(c.t1, pair.tm, pair.two), c.t1, second);
+        let cell = cell_of(cell_along, select(c.first, c.second, second));
+        let t0 = select(c.t0, c.tm, second);
+        let t1 = select(c.tm, c.t1, second);
         let ix = column_at(l, cell);
         let entry = columns(levels[l].columns + ix);
         var k = key & RUN_MANY;
@@ -461,7 +655,7 @@ fn resolve(lane: u32, epoch: i32, over: bool) {
         }
         write_sample(j, l, cell, ix, k, run, height(run_first(run) << l), height(run_end(run) << l), t0);
         if (!over) {
-            atomicStore(&keys[keys_at + u32(j)], 0u);
+            atomicStore(&keys[sample(j)], 0u);
         }
     }
 }
@@ -474,65 +668,99 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) grid: 
     }
     sight_begin(index);
 //!if STORAGE_KEYS
-    keys_at = index * (FINE + ROUGH);
+    keys_at = index * (FINE + 3u * ROUGH);
 //!endif
     begin(lane);
     let groups = level_group[frame.levels];
+    // Groups of a batch.
+    let batch = WIDTH / u32(GROUP);
     var epoch = 0;
     var turn = 0u;
     var start = 0;
-    while (start < groups && lo < hi) {
-        if (lane < 8u) {
-            atomicStore(&survive[lane], 0u);
+    loop {
+        var over = start >= groups || lo >= hi;
+        var slices = 0;
+        if (!over) {
+            let l = level_of_group(start);
+            let n = start - level_group[l];
+            slices = level_slice[l] + max(n * GROUP - GROUP, 0);
+            if (COARSE) {
+                // Nothing left can come into the window.
+                let t = max(cross_major((group_cell(l, n) + select(GROUP, 0, step_major > 0)) << l), level_t[l]);
+                over = (s.x > 0.0 && s.x * t >= frame.top) || (s.y < 0.0 && s.y * t <= frame.bottom);
+            }
         }
         // Slices of this stretch must fit the keys.
-        let slices = slice_bound(start);
-        if (slices - epoch > EPOCH - i32(WIDTH) * GROUP) {
-            sync();
-            resolve(lane, epoch, false);
+        if (over || slices - epoch > EPOCH - i32(WIDTH) * GROUP) {
+            resolve(lane, epoch, over);
+            if (over) {
+                break;
+            }
             epoch = slices;
         }
-        sync();
-        let g = start + i32(lane);
-        if (g < groups && group_shows(g)) {
-            atomicOr(&survive[lane >> 5u], 1u << (lane & 31u));
+        // A lane's own group, which it tests until it is walked or can no longer show.
+        var own: Group;
+        var alive = start + i32(lane) < groups;
+        if (alive) {
+            let g = start + i32(lane);
+            let l = level_of_group(g);
+            let n = g - level_group[l];
+            own = group_of(l, n);
+            alive = own.t1 > own.t0;
+            listed[lane] = (l << 27u) | u32(n);
         }
-        sync();
-        var before = 0u;
-        var n = 0u;
-        for (var w = 0u; w < WIDTH / 32u; w++) {
-            let bits = atomicLoad(&survive[w]);
-            before += select(0u, countOneBits(bits), w < (lane >> 5u));
-            n += countOneBits(bits);
-        }
-        let own = atomicLoad(&survive[lane >> 5u]);
-        if (((own >> (lane & 31u)) & 1u) == 1u) {
-            survivors[before + countOneBits(own & ((1u << (lane & 31u)) - 1u))] = lane;
-        }
-        sync();
-        for (var i0 = 0u; i0 < n * u32(GROUP) && lo < hi; i0 += WIDTH) {
-            let i = i0 + lane;
-            if (i < n * u32(GROUP)) {
-                let c = group_slice(start + i32(survivors[i / u32(GROUP)]), i32(i % u32(GROUP)));
-                if (c.t1 > c.t0) {
-                    draw_slice(c, epoch);
-                }
+        var left = 1u;
+        while (left > 0u && lo < hi) {
+            alive = alive && can_show(own);
+            if (alive) {
+                atomicOr(&turns[turn].survive[lane >> 5u], 1u << (lane & 31u));
             }
             sync();
-            shrink(lane, turn);
+            // The first groups that can show make up the batch: GROUP lanes each.
+            var rank = lane / u32(GROUP);
+            var mine = WIDTH;
+            var n = 0u;
+            for (var w = 0u; w < WIDTH / 32u; w++) {
+                let bits = atomicLoad(&turns[turn].survive[w]);
+                let here = countOneBits(bits);
+                if (w == lane >> 5u) {
+                    // Those ahead of this lane's own are taken first.
+                    let ahead = n + countOneBits(bits & ((1u << (lane & 31u)) - 1u));
+                    alive = alive && ahead >= batch;
+                }
+                if (rank >= n && rank < n + here) {
+                    mine = w * 32u + nth_bit(bits, rank - n);
+                }
+                n += here;
+            }
+            left = select(0u, n - batch, n > batch);
+            if (n > 0u) {
+                reach_lo = -1;
+                reach_hi = I32_MAX;
+                if (mine < WIDTH) {
+                    let i = i32(lane) % GROUP;
+                    let l = listed[mine] >> 27u;
+                    let cell = group_cell(l, i32(listed[mine] & 0x7ffffffu));
+                    draw_slice(l, cell + select(GROUP - 1 - i, i, step_major > 0), epoch);
+                }
+                if (reach_lo > lo) {
+                    atomicMax(&turns[turn].lo, reach_lo);
+                }
+                if (reach_hi < hi) {
+                    atomicMin(&turns[turn].hi, reach_hi);
+                }
+            }
+            if (lane == 0u) {
+                reset_turn((turn + 2u) % 3u);
+            }
+            sync();
+            if (n > 0u) {
+                shrink(lane, turn);
+            }
             turn = (turn + 1u) % 3u;
         }
         start += i32(WIDTH);
-        // Nothing left can come into the window.
-        if (COARSE && start < groups && lo < hi) {
-            let t = group_t(start);
-            if ((s.x > 0.0 && s.x * t >= frame.top) || (s.y < 0.0 && s.y * t <= frame.bottom)) {
-                break;
-            }
-        }
     }
-    sync();
-    resolve(lane, epoch, true);
     if (COUNT) {
         atomicAdd(&counts[0], n_columns);
         atomicAdd(&counts[1], n_runs);
@@ -542,18 +770,4 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) grid: 
             counters[3u * index + lane] = atomicLoad(&counts[lane]);
         }
     }
-}
-
-// Number of the first slice of a group, or less.
-fn slice_bound(g: i32) -> i32 {
-    let l = level_of_group(g);
-    return level_slice[l] + max((g - level_group[l]) * GROUP - GROUP, 0);
-}
-
-// Where a group begins.
-fn group_t(g: i32) -> f32 {
-    let l = level_of_group(g);
-    let group = (level_cells[l].x >> BLOCK_SHIFT) + (g - level_group[l]) * step[major];
-    let near = select(group * GROUP + GROUP - 1, group * GROUP, step[major] > 0);
-    return max(cross_axis(major, (near + 1 - ahead[major]) << l), level_t[l]);
 }

@@ -13,7 +13,10 @@ fn sight_begin(index: u32) {
 
 // Slope of the sight line between samples j - 1 and j.
 fn edge_slope(j: i32) -> f32 {
-    let u = f32(j);
+    return slope_at(f32(j));
+}
+
+fn slope_at(u: f32) -> f32 {
     let t = plane.b - u * plane.e;
     let h = u * plane.c - plane.a;
     if (t > 0.0) {

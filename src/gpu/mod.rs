@@ -148,6 +148,8 @@ struct Parts {
     holes: u64,
     times: u64,
     end: u64,
+    /// Entries of the counters.
+    n_counters: usize,
 }
 
 /// Timestamps: begin and end of traverse, remap and shade.
@@ -156,6 +158,11 @@ const TIMES: u32 = 6;
 /// A size in pixels or planes over groups of `by`.
 fn groups(n: u32, by: u32) -> u32 {
     n.div_ceil(by)
+}
+
+/// Bytes of workgroup memory that the kernel `workgroup` takes beside its keys, at most.
+fn workgroup_other(lanes: u32) -> u32 {
+    4 * lanes + 1024
 }
 
 /// Workgroups of one dimension: wgpu allows 65,535.
@@ -398,10 +405,9 @@ impl Plan {
             }
             Kernel::Workgroup => {
                 plan.lanes = gpu.lanes.unwrap_or(128).min(most);
-                // In steps, so that few sizes make few pipelines.
-                let fine = longest.next_multiple_of(256);
-                plan.words = fine + fine / 16;
-                plan.spill = plan.words * 4 + 2048 > memory;
+                let fine = plan.fine();
+                plan.words = fine + 3 * fine / 16;
+                plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
             Kernel::Raycast => {
@@ -416,8 +422,9 @@ impl Plan {
         u64::from(self.width) * u64::from(self.height)
     }
 
+    /// Keys of a plane's samples, in steps: few sizes make few pipelines.
     fn fine(&self) -> u32 {
-        self.longest.next_multiple_of(256)
+        self.longest.next_multiple_of(64)
     }
 
     fn gathers(&self) -> bool {
@@ -439,6 +446,7 @@ impl Plan {
             holes: take(4),
             times: take(8 * u64::from(TIMES)),
             end: at,
+            n_counters: self.n_counters as usize,
         }
     }
 }
@@ -693,10 +701,7 @@ impl GpuRenderer<'_> {
             if parts.counters > parts.voxel {
                 frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
             }
-            let counters: &[[u32; 3]] = bytemuck::cast_slice(
-                &bytes[parts.counters as usize
-                    ..parts.counters as usize + (parts.holes - parts.counters) as usize / 12 * 12],
-            );
+            let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
             let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
             (frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn) = (sum(0), sum(1), sum(2));
             frame.stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
