@@ -83,12 +83,28 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let inverse = ray_inverse(pixel_ray(id.x, id.y));
     let own_voxel = plane_voxel[own];
+    var near_own = MISS;
     if (own_voxel.w >= 0) {
-        let near = enter(own_voxel, inverse);
-        if (near != MISS) {
-            put(i, own, bitcast<u32>(near));
-            return;
+        near_own = enter(own_voxel, inverse);
+    }
+    let beside = buffer_index(place.fan, place.second, place.sample);
+    let beside_plane = frame.fans[place.fan].first_plane + place.second;
+    var near_beside = MISS;
+    // Beyond a plane's own samples its part of the buffer is not drawn.
+    if (i32(place.sample) >= planes[beside_plane].first && i32(place.sample) < planes[beside_plane].end) {
+        let voxel = plane_voxel[beside];
+        if (voxel.w >= 0) {
+            near_beside = enter(voxel, inverse);
         }
+    }
+    // The nearer of the two is what the ray sees.
+    if (near_beside != MISS && (near_own == MISS || near_beside < near_own)) {
+        put(i, beside, bitcast<u32>(near_beside));
+        return;
+    }
+    if (near_own != MISS) {
+        put(i, own, bitcast<u32>(near_own));
+        return;
     }
     // The nearest sample that the ray meets among those around the place; else one that shows the sky; else the own one.
     var best = own;

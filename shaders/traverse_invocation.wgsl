@@ -201,50 +201,88 @@ fn column(l: u32, cell: vec2<i32>, t0: f32, t1: f32) {
     if (entry.y != 0u) {
         n_more = runs(more);
     }
-    var k = 0u;
-    loop {
+    // From the eye outwards: what is nearer in height hides what is farther. First those that do not start above the eye,
+    // from the top down; of many, from the first that reaches down into the window.
+    let over = starting(l, run, more, n_more, 0.0, true);
+    var k = over;
+    if (n_more > 8u) {
+        k = max(k, starting(l, run, more, n_more, v.y, false));
+    }
+    while (k <= n_more) {
         n_runs += 1u;
-        let h0 = height(run_first(run) << l);
+        run = run_at(entry.x, more, k);
         let h1 = height(run_end(run) << l);
         if (h1 <= v.x) {
-            return;
+            break;
         }
-        if (h0 < v.y) {
-            let inside = CENTER && center.y > center.x
-                && h1 <= s_center.y * select(t0, t1, h1 < 0.0)
-                && h0 >= s_center.x * select(t0, t1, h0 > 0.0);
-            if (!inside) {
-                draw(l, cell, ix, k, run, h0, h1, t0, t1);
-                if (closed()) {
-                    return;
-                }
-                v = visible(s, t0, t1);
+        if (draw_run(l, cell, ix, k, run, h1, t0, t1, v)) {
+            if (closed()) {
+                return;
             }
-        } else if (k == 0u && n_more > 8u) {
-            // All above the window: binary search for the first run that reaches down into it.
-            var start = 0u;
-            var to = n_more;
-            while (start < to) {
-                let mid = (start + to) / 2u;
-                if (height(run_first(runs(more + 1u + mid)) << l) >= v.y) {
-                    start = mid + 1u;
-                } else {
-                    to = mid;
-                }
-            }
-            k = start;
-        }
-        if (k >= n_more) {
-            return;
+            v = visible(s, t0, t1);
         }
         k += 1u;
-        run = runs(more + k);
+    }
+    k = over;
+    while (k > 0u) {
+        k -= 1u;
+        n_runs += 1u;
+        run = run_at(entry.x, more, k);
+        if (height(run_first(run) << l) >= v.y) {
+            return;
+        }
+        if (draw_run(l, cell, ix, k, run, height(run_end(run) << l), t0, t1, v)) {
+            if (closed()) {
+                return;
+            }
+            v = visible(s, t0, t1);
+        }
     }
 }
 
+// Run k of a column, from the top down.
+fn run_at(top: u32, more: u32, k: u32) -> u32 {
+    if (k == 0u) {
+        return top;
+    }
+    return runs(more + k);
+}
+
+// How many runs of a column, from the top down, start at height h or above; or, with `past`, above it.
+fn starting(l: u32, top: u32, more: u32, n_more: u32, h: f32, past: bool) -> u32 {
+    var start = 0u;
+    var to = n_more + 1u;
+    while (start < to) {
+        let mid = (start + to) / 2u;
+        let h0 = height(run_first(run_at(top, more, mid)) << l);
+        if (h0 > h || h0 == h && !past) {
+            start = mid + 1u;
+        } else {
+            to = mid;
+        }
+    }
+    return start;
+}
+
+// Draws a run that ends above the window's foot, if it may show; says whether it did.
+fn draw_run(l: u32, cell: vec2<i32>, ix: u32, k: u32, run: u32, h1: f32, t0: f32, t1: f32, v: vec2<f32>) -> bool {
+    let h0 = height(run_first(run) << l);
+    if (h0 >= v.y || h1 <= v.x) {
+        return false;
+    }
+    let inside = CENTER && center.y > center.x
+        && h1 <= s_center.y * select(t0, t1, h1 < 0.0)
+        && h0 >= s_center.x * select(t0, t1, h0 > 0.0);
+    if (!inside) {
+        draw(l, cell, ix, k, run, h0, h1, t0, t1);
+    }
+    return !inside;
+}
+
 fn draw(l: u32, cell: vec2<i32>, ix: u32, k: u32, run: u32, h0: f32, h1: f32, t0: f32, t1: f32) {
-    let j0 = max(sample_at(select(t0, t1, h0 > 0.0), h0), lo);
-    let j1 = min(sample_at(select(t0, t1, h1 < 0.0), h1), hi);
+    // At the eye's own height any distance has slope 0, but for 0.
+    let j0 = max(sample_at(select(t0, t1, h0 >= 0.0), h0), lo);
+    let j1 = min(sample_at(select(t0, t1, h1 <= 0.0), h1), hi);
     if (j0 >= j1) {
         return;
     }

@@ -490,8 +490,9 @@ fn samples_at(t: vec2<f32>, h: vec2<f32>) -> vec2<i32> {
 }
 
 fn draw(shows: vec2<bool>, h0: vec2<f32>, h1: vec2<f32>, t0: vec2<f32>, t1: vec2<f32>, key: vec2<u32>) {
-    let t_low = select(t0, t1, h0 > vec2(0.0));
-    let t_high = select(t0, t1, h1 < vec2(0.0));
+    // At the eye's own height any distance has slope 0, but for 0.
+    let t_low = select(t0, t1, h0 >= vec2(0.0));
+    let t_high = select(t0, t1, h1 <= vec2(0.0));
     // Beyond the window the division may be by nothing.
     let j = select(samples_at(t_low, h0), vec2(lo), h0 <= s.x * t_low);
     let j1 = select(samples_at(t_high, h1), vec2(hi), h1 >= s.y * t_high);
@@ -655,20 +656,33 @@ fn show_key(j: i32, key: u32, epoch: i32) {
     if (k > 0u) {
         run = runs(levels[l].runs + entry.y + k);
     }
+    let t1 = select(c.tm, c.t1, second);
     if (k == RUN_MANY) {
         // One of the runs from here down: the one whose span holds the sample.
-        let t1 = select(c.tm, c.t1, second);
         let n_more = runs(levels[l].runs + entry.y);
         loop {
             let h0 = height(run_first(run) << l);
             let h1 = height(run_end(run) << l);
-            let start = sample_at(select(t0, t1, h0 > 0.0), h0);
-            let to = sample_at(select(t0, t1, h1 < 0.0), h1);
+            let start = sample_at(select(t0, t1, h0 >= 0.0), h0);
+            let to = sample_at(select(t0, t1, h1 <= 0.0), h1);
             if ((j >= start && j < to) || k >= n_more) {
                 break;
             }
             k += 1u;
             run = runs(levels[l].runs + entry.y + k);
+        }
+    }
+    // Keys rank a column's runs from the top down. Above the eye it is the lowest that a sample meets which is nearest.
+    if (entry.y != 0u && height(run_first(run) << l) > 0.0) {
+        let n_more = runs(levels[l].runs + entry.y);
+        while (k < n_more) {
+            let below = runs(levels[l].runs + entry.y + k + 1u);
+            let h0 = height(run_first(below) << l);
+            if (h0 <= 0.0 || j >= sample_at(t0, height(run_end(below) << l)) || j < sample_at(t1, h0)) {
+                break;
+            }
+            k += 1u;
+            run = below;
         }
     }
     write_sample(j, l, cell, ix, k, run, height(run_first(run) << l), height(run_end(run) << l), t0);

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
+use planecast_encoder::write::{keep_input, resolved};
 use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
 use serde_json::json;
 
@@ -20,6 +21,7 @@ use crate::path::{Path, Pose};
 use crate::tour::{self, View};
 use crate::{
     Camera, Culling, Error, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
+    renderer,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -364,14 +366,15 @@ fn open_scene(path: &FilePath) -> Result<Scene> {
     Ok(PcastFile::open(path)?.read_scene()?)
 }
 
-/// Every output once, and each can be written as far as that can be known before.
-fn check_outputs(outputs: &[(&str, Option<&PathBuf>)]) -> Result<()> {
+/// Every output once and over no input, and each can be written as far as that can be known before.
+fn check_outputs(inputs: &[Option<&PathBuf>], outputs: &[(&str, Option<&PathBuf>)]) -> Result<()> {
     let given: Vec<(&str, &PathBuf)> = outputs.iter().filter_map(|(flag, p)| Some((*flag, (*p)?))).collect();
     for (i, (flag, path)) in given.iter().enumerate() {
-        if let Some((other, _)) = given[..i].iter().find(|(_, p)| p == path) {
+        if let Some((other, _)) = given[..i].iter().find(|(_, p)| resolved(p) == resolved(path)) {
             let path = path.display();
             return Err(Error::Argument(format!("{flag} {path}: is the file of {other} too; give each its own")));
         }
+        inputs.iter().flatten().try_for_each(|input| keep_input(input, flag, path))?;
         output::check(path)?;
     }
     Ok(())
@@ -379,19 +382,24 @@ fn check_outputs(outputs: &[(&str, Option<&PathBuf>)]) -> Result<()> {
 
 impl RenderArgs {
     fn run(&self) -> Result<()> {
-        check_outputs(&[
+        let outputs = [
             ("--output", Some(&self.output)),
             ("--depth", self.depth.as_ref()),
             ("--voxel", self.voxel.as_ref()),
             ("--stats", self.stats.as_ref()),
-        ])?;
+        ];
+        check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
         let scene = open_scene(&self.scene)?;
         let camera = self.pose(&scene).camera(self.size);
         let resident = Resident::new(&scene);
         let outputs = Outputs { voxel: self.voxel.is_some() };
-        let frame = self.draw.renderer(&scene, &resident)?.draw(&camera, &options, outputs, &mut tell)?;
+        let mut renderer = self.draw.renderer(&scene, &resident)?;
+        let mut frame = renderer.draw(&camera, &options, outputs, &mut tell)?;
+        if self.stats.is_some() && options.readjust && self.draw.device != Device::Exact {
+            frame.stats.readjusted_saves = renderer.spacing_saves(&camera, &options, &mut tell)?;
+        }
 
         let mut files = vec![output::write(&self.output, |out| output::png(out, &frame))?];
         if let Some(path) = &self.depth {
@@ -434,7 +442,7 @@ impl FlyArgs {
         if kind == Kind::Mp4 {
             outputs.push(("--output", Some(&self.output)));
         }
-        check_outputs(&outputs)?;
+        check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
@@ -451,6 +459,12 @@ impl FlyArgs {
             None => (path.duration() * self.fps).round().clamp(1.0, 1e6) as usize,
         };
         let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| p.camera(self.size)).collect();
+        for camera in &cameras {
+            renderer::check(camera, &options).map_err(|e| match (e, &self.path) {
+                (Error::Argument(what), Some(file)) => FileError::format(file, what).into(),
+                (e, _) => e,
+            })?;
+        }
 
         let resident = Resident::new(&scene);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
@@ -683,7 +697,8 @@ mod tests {
     #[test]
     fn cli_gives_each_output_its_own_file() {
         let (a, b) = (PathBuf::from("a.png"), PathBuf::from("b.npy"));
-        let error = check_outputs(&[("--output", Some(&a)), ("--depth", Some(&b)), ("--voxel", Some(&b))]).unwrap_err();
+        let error =
+            check_outputs(&[], &[("--output", Some(&a)), ("--depth", Some(&b)), ("--voxel", Some(&b))]).unwrap_err();
         assert_eq!(error.to_string(), "--voxel b.npy: is the file of --depth too; give each its own");
     }
 }

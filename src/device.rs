@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::{Frame, SpacingSaves};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
 use crate::options::Options;
@@ -23,11 +23,10 @@ pub enum Device {
 
 /// Draws frames of one scene on the device that was chosen.
 pub struct Renderer<'a> {
-    scene: &'a Scene,
-    resident: &'a Resident,
     backend: Backend<'a>,
-    /// Whether a GPU that fails is replaced by the CPU.
-    fall_back: bool,
+    /// What replaces a GPU that fails; `None` where it was asked for by name.
+    #[cfg(feature = "gpu")]
+    fall_back: Option<(&'a Scene, &'a Resident)>,
 }
 
 enum Backend<'a> {
@@ -72,7 +71,11 @@ impl<'a> Renderer<'a> {
             },
             Device::Gpu => open_gpu(scene, resident, kernel, false)?,
         };
-        let renderer = Renderer { scene, resident, backend, fall_back: device == Device::Auto };
+        let renderer = Renderer {
+            backend,
+            #[cfg(feature = "gpu")]
+            fall_back: (device == Device::Auto).then_some((scene, resident)),
+        };
         #[cfg(feature = "gpu")]
         if let (Backend::Gpu(gpu), Device::Auto) = (&renderer.backend, device) {
             tell(&format!("drawing on the gpu: {}", gpu.device().0));
@@ -88,19 +91,41 @@ impl<'a> Renderer<'a> {
         outputs: Outputs,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Frame> {
+        #[cfg(not(feature = "gpu"))]
+        let _ = tell;
         match &mut self.backend {
             Backend::Planes(cpu) => cpu.render(camera, options, outputs),
             Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpu) => match gpu.render(camera, options, outputs) {
-                Err(e @ (Error::Device(_) | Error::Limit(_))) if self.fall_back => {
+                Err(e @ (Error::Device(_) | Error::Limit(_))) => {
+                    let Some((scene, resident)) = self.fall_back else { return Err(e) };
                     tell(&format!("going on with the cpu: {e}"));
-                    self.backend = Backend::Planes(CpuRenderer::new(self.scene, self.resident));
+                    self.backend = Backend::Planes(CpuRenderer::new(scene, resident));
                     self.draw(camera, options, outputs, tell)
                 }
                 frame => frame,
             },
         }
+    }
+
+    /// Draws a frame once more with either spacing of planes, and says what the readjusted one saves; `None` where both are
+    /// the same planes.
+    pub fn spacing_saves(
+        &mut self,
+        camera: &Camera,
+        options: &Options,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<Option<SpacingSaves>> {
+        let mut draw = |readjust| -> Result<(u32, f64)> {
+            let frame = self.draw(camera, &Options { readjust, ..*options }, Outputs::default(), tell)?;
+            let times = frame.stats.gpu_ms.or(frame.stats.cpu_ms).unwrap_or_default();
+            Ok((frame.stats.planes, times.traverse))
+        };
+        let (planes_full, traverse_full) = draw(false)?;
+        let (planes_readjusted, traverse_readjusted) = draw(true)?;
+        let saves = SpacingSaves { planes_readjusted, planes_full, traverse_readjusted, traverse_full };
+        Ok((planes_readjusted != planes_full).then_some(saves))
     }
 
     /// The name of what draws, for records.

@@ -22,15 +22,23 @@ pub struct Hit {
 }
 
 /// The side of a voxel that a ray enters by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum Face {
+    /// The ray starts inside the voxel.
+    #[serde(rename = "inside")]
     Inside,
-    XMinus,
-    XPlus,
-    YMinus,
-    YPlus,
-    ZMinus,
-    ZPlus,
+    #[serde(rename = "-x")]
+    NegX,
+    #[serde(rename = "+x")]
+    PosX,
+    #[serde(rename = "-y")]
+    NegY,
+    #[serde(rename = "+y")]
+    PosY,
+    #[serde(rename = "-z")]
+    NegZ,
+    #[serde(rename = "+z")]
+    PosZ,
 }
 
 /// The first voxel of `columns` along a ray, if it is entered before `t_max`. `repeats`: whether the world is tiled along x
@@ -52,7 +60,8 @@ pub fn cast(columns: &Columns, repeats: [bool; 2], eye: DVec3, dir: DVec3, t_max
             continue;
         }
         let (near, far) = if d > 0.0 { (0.0, n) } else { (n, 0.0) };
-        if (near - o) / d > t0 {
+        // At the far border exactly the eye is outside, though at no distance.
+        if (near - o) / d > t0 || (o >= n && (near - o) / d == t0) {
             t0 = (near - o) / d;
             entered = Some(axis);
         }
@@ -76,16 +85,16 @@ pub fn cast(columns: &Columns, repeats: [bool; 2], eye: DVec3, dir: DVec3, t_max
         None => Face::Inside,
         Some(0) => {
             if step[0] > 0 {
-                Face::XMinus
+                Face::NegX
             } else {
-                Face::XPlus
+                Face::PosX
             }
         }
         Some(_) => {
             if step[1] > 0 {
-                Face::ZMinus
+                Face::NegZ
             } else {
-                Face::ZPlus
+                Face::PosZ
             }
         }
     };
@@ -113,8 +122,8 @@ pub fn cast(columns: &Columns, repeats: [bool; 2], eye: DVec3, dir: DVec3, t_max
             if let Some((y, t, run, vertical)) = meet(columns, column, eye.y, dir.y, t0, t1) {
                 let face = match vertical {
                     false => side(entered),
-                    true if dir.y < 0.0 => Face::YPlus,
-                    true => Face::YMinus,
+                    true if dir.y < 0.0 => Face::PosY,
+                    true => Face::NegY,
                 };
                 return Some(Hit { voxel: [cell[0], y, cell[1]], t, face, column, run });
             }

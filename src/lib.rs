@@ -1,4 +1,44 @@
 //! Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes.
+//!
+//! The method is that of Voxlap (Silverman) and of Forstmann & Ohya, *Parallel Forward Projection of Large Voxel-Volumes on
+//! the GPU*, 2009. One plane holds the eye's vertical axis and one azimuth; it crosses the screen in one line. A walk over
+//! the columns that it cuts, near to far, draws their runs as spans into that line until the line is full. Planes do not
+//! depend on each other.
+//!
+//! # Stages
+//! Each stage has one name, here and in `shaders/`, in [`Stats`] and in the benches.
+//!
+//! | stage | reads → writes | one task is | CPU | GPU |
+//! |---|---|---|---|---|
+//! | `plane_setup` | camera → planes, fans | a frame | [`plane_setup`] | the same, uploaded |
+//! | `traverse` | planes, columns → plane buffer | a plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
+//! | `remap` | plane buffer → pixels | a pixel | [`cpu::remap`] | `remap.wgsl` |
+//! | `gap_fill` | pixels → pixels without holes | a pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
+//! | `shade` | colour, depth → picture | a pixel | [`cpu::shade`] | `shade.wgsl` |
+//!
+//! [`exact`] is the reference for all of them: one f64 ray a pixel at level 0, which shares no code with the planes.
+//! `raycast.wgsl` is the GPU's baseline: one f32 ray a pixel over the same tables and levels.
+//!
+//! # Words
+//! *Column*: one (x, z) of the world, y up. *Run*: a solid interval of a column. *Level*: the world at half the resolution
+//! of the level before, in x, y and z. *Plane*: see above. *Fan*: planes towards one screen edge. *Sample*: one place of a
+//! plane's line, a pixel apart. *Span*: a run as projected into a plane. *Vanishing point*: where the lines of all planes
+//! meet on the screen.
+//!
+//! # Units and spaces
+//! Lengths are voxels of level 0, angles degrees. The world is right-handed with y up; *t* is the horizontal distance from
+//! the eye along a plane, *h* the height above the eye; *depth* is the distance along the camera's forward axis. Kernels
+//! see the eye as a whole voxel and a fraction, so that far from the origin nothing is lost. Colours are sRGB bytes,
+//! averaged in linear light.
+//!
+//! # Who validates
+//! `planecast_encoder` proves a file before it becomes a `Scene`; [`Resident`] is made from a `Scene` only; kernels trust
+//! it. [`renderer::check`] proves camera and options.
+//!
+//! # What is exact
+//! Plane setup is f64. The walk is f32, as on the GPU, with crossings recomputed from whole cell numbers at each step.
+//! At pitch 0 and roll 0 planes are pixel columns and differ from [`exact`] by rounding alone; elsewhere a pixel shows what
+//! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]). Culling never changes a picture.
 
 pub mod camera;
 pub mod cli;

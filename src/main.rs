@@ -3,6 +3,13 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    // Without a display Mesa's device-select layer, which picks among adapters as this program does itself, only
+    // complains on stderr.
+    let set = |name| std::env::var_os(name).is_some();
+    if !set("DISPLAY") && !set("WAYLAND_DISPLAY") && !set("NODEVICE_SELECT") {
+        // SAFETY: no other thread has been started that could read the environment meanwhile.
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
+    }
     // A fault of the program itself is told in one line too, and ends it wherever it happens.
     std::panic::set_hook(Box::new(|panic| {
         let place = panic.location().map(|l| format!(" at {}:{}", l.file(), l.line())).unwrap_or_default();

@@ -1,42 +1,10 @@
-//! The first solid voxel along a ray: a digital differential analyser in f64 over level 0.
+//! The first solid voxel along a ray, by the walk of the exact reference over level 0.
 
 use glam::DVec3;
 use planecast_encoder::{ColorMode, Columns, Error, Result, Rgb, Scene};
 use serde::Serialize;
 
-/// The side of a voxel that a ray came in through.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum Face {
-    #[serde(rename = "-x")]
-    NegX,
-    #[serde(rename = "+x")]
-    PosX,
-    #[serde(rename = "-y")]
-    NegY,
-    #[serde(rename = "+y")]
-    PosY,
-    #[serde(rename = "-z")]
-    NegZ,
-    #[serde(rename = "+z")]
-    PosZ,
-    /// The ray starts inside the voxel.
-    #[serde(rename = "inside")]
-    Inside,
-}
-
-impl Face {
-    /// The face that a ray moving in direction `step` (±1) along `axis` comes in through.
-    fn entered(axis: usize, step: i64) -> Face {
-        match (axis, step > 0) {
-            (0, true) => Face::NegX,
-            (0, false) => Face::PosX,
-            (1, true) => Face::NegY,
-            (1, false) => Face::PosY,
-            (_, true) => Face::NegZ,
-            (_, false) => Face::PosZ,
-        }
-    }
-}
+use crate::exact::{self, Face};
 
 /// Where a ray meets a solid voxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,62 +52,9 @@ pub fn pick(columns: &Columns, from: DVec3, dir: DVec3) -> Result<Option<Hit>> {
         return Err(Error::Argument("the direction of a pick is 0,0,0; at least one part must differ from 0".into()));
     }
     // First to about 1, so that neither tiny nor huge directions lose their length to under- or overflow.
-    let d = (dir / largest).normalize().to_array();
-    let o = from.to_array();
-    let dims = columns.dims().map(i64::from);
-    let cell = o.map(|v| v.floor() as i64);
-    if columns.solid(cell[0], cell[1], cell[2]) {
-        return Ok(Some(Hit { voxel: cell.map(|v| v as u32), distance: 0.0, face: Face::Inside }));
-    }
-
-    let step = d.map(|v| if v > 0.0 { 1 } else { -1 });
-    // The stretch of the ray inside the world's box, and the axis whose face it comes in through.
-    let (mut t, mut t_exit, mut axis) = (0.0, f64::INFINITY, None);
-    for a in 0..3 {
-        let top = dims[a] as f64;
-        if d[a] == 0.0 {
-            if o[a] < 0.0 || o[a] >= top {
-                return Ok(None);
-            }
-            continue;
-        }
-        let (near, far) = if step[a] > 0 { (0.0, top) } else { (top, 0.0) };
-        if (near - o[a]) / d[a] >= t {
-            (t, axis) = ((near - o[a]) / d[a], Some(a));
-        }
-        t_exit = f64::min(t_exit, (far - o[a]) / d[a]);
-    }
-    if t > t_exit || t_exit < 0.0 {
-        return Ok(None);
-    }
-    let mut cell: [i64; 3] = std::array::from_fn(|a| match axis {
-        Some(entry) if entry == a => {
-            if step[a] > 0 {
-                0
-            } else {
-                dims[a] - 1
-            }
-        }
-        _ => ((o[a] + t * d[a]).floor() as i64).clamp(0, dims[a] - 1),
-    });
-    loop {
-        if columns.solid(cell[0], cell[1], cell[2]) {
-            // The loop comes here only through a face: a solid cell around the start was returned above.
-            let face = axis.map_or(Face::Inside, |a| Face::entered(a, step[a]));
-            return Ok(Some(Hit { voxel: cell.map(|v| v as u32), distance: t, face }));
-        }
-        let crossing: [f64; 3] = std::array::from_fn(|a| match d[a] {
-            0.0 => f64::INFINITY,
-            _ => ((cell[a] + i64::from(step[a] > 0)) as f64 - o[a]) / d[a],
-        });
-        let next = (0..3).min_by(|&a, &b| crossing[a].total_cmp(&crossing[b])).expect("three axes");
-        t = crossing[next].max(t);
-        cell[next] += step[next];
-        axis = Some(next);
-        if !(0..dims[next]).contains(&cell[next]) {
-            return Ok(None);
-        }
-    }
+    let d = (dir / largest).normalize();
+    let hit = exact::cast(columns, [false; 2], from, d, f64::INFINITY);
+    Ok(hit.map(|h| Hit { voxel: h.voxel.map(|v| v as u32), distance: h.t, face: h.face }))
 }
 
 /// The colour of a solid voxel of level 0, where the scene has one.

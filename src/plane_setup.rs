@@ -181,13 +181,12 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
     let mut planes = Vec::with_capacity(fans.iter().map(|f| f.n_planes as usize).sum());
     let world = World::new(resident, camera, options);
     let mut samples = 0;
-    for f in 0..4 {
-        fans[f].first_plane = planes.len() as u32;
-        fans[f].first_sample = samples;
-        for k in 0..fans[f].n_planes {
-            let (at, stripe) = fans[f].place(k);
-            let mut plane = line(f, at, fans[f].far, camera, &basis);
-            let fan = &mut fans[f];
+    for (f, fan) in fans.iter_mut().enumerate() {
+        fan.first_plane = planes.len() as u32;
+        fan.first_sample = samples;
+        for k in 0..fan.n_planes {
+            let (at, stripe) = fan.place(k);
+            let mut plane = line(f, at, fan.far, camera, &basis);
             fan.flip = plane.b * plane.c - plane.a * plane.e < 0.0;
             let n = f64::from(fan.n_samples);
             if fan.flip {
@@ -286,15 +285,15 @@ fn fan_extent(f: usize, far: f64, vanishing: [f64; 3], w: f64, h: f64) -> Option
 
 /// Spreads `wanted` planes over the fans in the ratio in which `cast` planes were spread, at least one each.
 fn share_planes(fans: &mut [Fan; 4], extents: &[Option<(f64, f64)>; 4], wanted: u32, cast: u32) {
-    let wanted = wanted.max(fans.iter().filter(|f| f.n_planes > 0).count() as u32);
-    let (mut left, mut from) = (wanted, cast);
+    let mut fans_left = fans.iter().filter(|f| f.n_planes > 0).count() as u32;
+    let (mut left, mut from) = (wanted.max(fans_left), cast);
     for (fan, extent) in fans.iter_mut().zip(extents) {
         let Some((lo, hi)) = *extent else { continue };
-        let after = from - fan.n_planes;
+        fans_left -= 1;
         let share = (f64::from(left) * f64::from(fan.n_planes) / f64::from(from)).round() as u32;
-        let share = share.clamp(1, left.saturating_sub(u32::from(after > 0)).max(1));
+        let share = share.clamp(1, left - fans_left);
         from -= fan.n_planes;
-        left = left.saturating_sub(share);
+        left -= share;
         match &mut fan.readjusted {
             Some(r) => {
                 fan.spacing = f64::from(fan.n_planes) / f64::from(share);
@@ -322,7 +321,9 @@ fn readjust(fan: &mut Fan, f: usize, vanishing: [f64; 3], extent: (f64, f64), w:
     let pixels = 1.5 * (1.0 + rho) / (1.0 + rho + rho * rho);
     let q = |at: f64| crowd((at - centre) / distance);
     let (lo, hi) = (q(extent.0 - 0.5), q(extent.1 + 0.5));
-    let n = ((hi - lo) * distance / pixels).ceil().max(1.0);
+    // An odd number: a vanishing point on a pixel's centre, between extents that are alike, would else put that pixel's
+    // column on the border of two stripes, and rounding would choose.
+    let n = 2.0 * ((hi - lo) * distance / pixels / 2.0).floor() + 1.0;
     if !(n.is_finite() && n < f64::from(fan.n_planes)) {
         return;
     }
@@ -416,8 +417,9 @@ struct World {
     period_offset: [i64; 2],
     /// Extent along x and z, `None` where it repeats.
     bounds: [Option<i32>; 2],
-    /// Height of the lowest and the highest solid voxel's far face above the eye.
-    heights: (f64, f64),
+    /// Height of the lowest and the highest solid voxel's far face above the eye, of each level that may be drawn: a coarse
+    /// level's world is higher than a fine one's.
+    heights: Vec<(f64, f64)>,
     view_distance: f64,
     levels: u32,
 }
@@ -451,13 +453,14 @@ impl World {
             None => 1,
             Some(_) => (0..resident.levels.len() as u32).take_while(|&k| fits(k)).count() as u32,
         };
-        let level0 = &resident.levels[0];
+        let height = |y: u32, k: usize| f64::from(y << k) - camera.eye.y;
+        let heights = resident.levels[..levels as usize].iter().enumerate();
         World {
             eye_cell: [x, y as i32, z],
             eye_fract: [fx, camera.eye.y - y, fz],
             period_offset,
             bounds: [(!options.repeat.x).then_some(nx as i32), (!options.repeat.z).then_some(nz as i32)],
-            heights: (f64::from(level0.bottom) - camera.eye.y, f64::from(level0.top) - camera.eye.y),
+            heights: heights.map(|(k, level)| (height(level.bottom, k), height(level.top, k))).collect(),
             view_distance,
             levels,
         }
@@ -518,22 +521,21 @@ impl World {
         let delta = plane.b * plane.c - plane.a * plane.e;
         let widest = ends[0].0.max(ends[1].0);
         plane.lod_t = depth * widest / delta;
-        // With the whole world below (above) the eye, nothing is nearer than where sight lines reach its top (bottom).
-        let near = if self.heights.1 < 0.0 { self.heights.1 } else { self.heights.0 };
-        if self.heights.1 < 0.0 || self.heights.0 > 0.0 {
-            let mut nearest = f64::INFINITY;
-            for (_, h) in ends {
-                let q = near / h;
-                // A sight line that never reaches the world shows only sky; the other end, the steeper, is the bound.
-                if q > 0.0 {
-                    nearest = nearest.min(q * delta);
-                }
+        // With a level's whole world below (above) the eye, nothing of it is nearer than where sight lines reach its top
+        // (bottom).
+        let nearest = |k: u32| {
+            let (bottom, top) = self.heights[k as usize];
+            if bottom <= 0.0 && top >= 0.0 {
+                return 0.0;
             }
-            let first = (nearest / depth).log2().floor();
-            if first.is_finite() && first > 0.0 {
-                plane.lod_first = first as u32;
-            }
+            let near = if top < 0.0 { top } else { bottom };
+            // A sight line that never reaches the world shows only sky; the other end, the steeper, is the bound.
+            let reached = ends.iter().map(|&(_, h)| near / h).filter(|&q| q > 0.0);
+            reached.fold(f64::INFINITY, f64::min) * delta
+        };
+        let may_start = |k: u32| k < self.levels && nearest(k) >= depth * f64::from(1u32 << k);
+        while may_start(plane.lod_first + 1) {
+            plane.lod_first += 1;
         }
-        plane.lod_first = plane.lod_first.min(self.levels - 1);
     }
 }

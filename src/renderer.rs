@@ -55,14 +55,14 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
     for (axis, name) in ["x", "y", "z"].iter().enumerate() {
         // Beyond 2⁵² an f64 no longer tells neighbouring voxels apart.
         let limit = if repeats[axis] { (1u64 << 52) as f64 } else { EYE_LIMIT };
-        if !(eye[axis].abs() <= limit) {
-            return argument(format!("eye {name} = {}: must be within ±{limit:e} voxels", eye[axis]));
+        if eye[axis].is_nan() || eye[axis].abs() > limit {
+            return argument(format!("eye {name} = {:?}: must be within ±{limit:e} voxels", eye[axis]));
         }
     }
-    if !(options.view_distance > 0.0) {
+    if options.view_distance.is_nan() || options.view_distance <= 0.0 {
         return argument(format!("view distance {}: must be above 0", options.view_distance));
     }
-    if options.lod.is_some_and(|px| !(px > 0.0)) {
+    if options.lod.is_some_and(|px| px.is_nan() || px <= 0.0) {
         return argument(format!("level of detail of {} pixels: must be above 0, or off", options.lod.unwrap_or(0.0)));
     }
     match options.planes {

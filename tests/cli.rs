@@ -106,11 +106,15 @@ fn exit_status_tells_the_command_line_from_the_input() {
     let dir = workplace();
     fs::write(dir.path().join("bad.pcast"), [7; 100]).unwrap();
     fs::write(dir.path().join("p.json"), r#"[{"t":0,"eye":[1,2,3],"yaw":0,"pitch":95}]"#).unwrap();
+    fs::write(dir.path().join("far.json"), r#"[{"t":0,"eye":[1e99,2,3],"yaw":0,"pitch":9}]"#).unwrap();
     for (status, line) in [
         (2, "render hills.pcast -o p.png --pitch 95"),
         (2, "render hills.pcast -o p.png --eye --yaw 3"),
         (2, "render hills.pcast"),
         (2, "nosuch"),
+        (2, "render hills.pcast -o hills.pcast"),
+        (2, "render hills.pcast -o p.png --voxel ./p.png"),
+        (2, "fly hills.pcast -o film --path p.json --save-path p.json"),
         (2, "fly hills.pcast -o film.gif"),
         (2, "render hills.pcast -o p.png --kernel nosuch --device cpu"),
         (2, "pick hills.pcast --from 1,2,3 --dir 0,0,0"),
@@ -118,12 +122,28 @@ fn exit_status_tells_the_command_line_from_the_input() {
         (1, "render bad.pcast -o p.png"),
         (1, "render hills.pcast -o ."),
         (1, "fly hills.pcast -o film --path p.json"),
+        (1, "fly hills.pcast -o film --path far.json --size 8x8 --device cpu"),
         (1, "fly hills.pcast -o no/film.mp4"),
     ] {
         assert_eq!(fails(dir.path(), line).0, status, "{line}");
     }
     let (_, said) = fails(dir.path(), "fly hills.pcast -o film --path p.json");
     assert_eq!(said, "p.json: keyframe 1, pitch: 95 is not in -90 to 90");
+    let (_, said) = fails(dir.path(), "fly hills.pcast -o film --path far.json --size 8x8 --device cpu");
+    assert_eq!(said, "far.json: eye x = 1e99: must be within ±1.073741824e9 voxels");
+}
+
+#[test]
+fn auto_says_nothing_but_which_device_draws() {
+    let dir = workplace();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_planecast"));
+    command.args(["render", "hills.pcast", "-o", "p.png", "--size", "8x8"]).current_dir(dir.path());
+    for name in ["DISPLAY", "WAYLAND_DISPLAY", "XDG_RUNTIME_DIR", "NODEVICE_SELECT"] {
+        command.env_remove(name);
+    }
+    let output = command.output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.starts_with("drawing on the ") && said.lines().count() == 1, "{said}");
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use crate::build::UNCOLORED;
 use crate::decode::decode_to_raw;
 use crate::source::{self, ReadOptions};
-use crate::write::write_scene;
-use crate::{BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, build, info};
+use crate::write::{keep_input, write_scene};
+use crate::{BuildOptions, ColorMode, Colors, Encoding, Error, MipRule, PcastFile, Result, build, info};
 
 /// Exit status where the input, the scene or the machine was at fault.
 pub const EXIT_INPUT: u8 = 1;
@@ -44,7 +45,14 @@ pub struct EncodeArgs {
 
 impl EncodeArgs {
     pub fn run(&self) -> Result<()> {
-        let input = source::open(&self.input, &self.read)?;
+        for input in [Some(&self.input), self.read.colors.as_ref()].into_iter().flatten() {
+            keep_input(input, "--output", &self.output)?;
+        }
+        let mut input = source::open(&self.input, &self.read)?;
+        if matches!((&input.colors, self.color), (Colors::None, Some(ColorMode::Run | ColorMode::Voxel))) {
+            input.colors = Colors::Function(Box::new(|_, _, _| UNCOLORED));
+            input.notes.push("the input has no colours: all voxels are grey".to_owned());
+        }
         input.notes.iter().for_each(|note| eprintln!("note: {note}"));
         let opts = BuildOptions { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule };
         write_scene(&build(input, &opts)?, &self.output)
@@ -63,6 +71,7 @@ pub struct DecodeArgs {
 
 impl DecodeArgs {
     pub fn run(&self) -> Result<()> {
+        keep_input(&self.scene, "--output", &self.output)?;
         decode_to_raw(&PcastFile::open(&self.scene)?.read_scene()?, &self.output)
     }
 }
@@ -90,12 +99,16 @@ pub struct QueryArgs {
     /// Scene file (.pcast)
     pub scene: PathBuf,
     /// Voxel; outside the world is air
-    #[arg(allow_negative_numbers = true)]
+    #[arg(allow_negative_numbers = true, value_parser = whole)]
     pub x: i64,
-    #[arg(allow_negative_numbers = true)]
+    #[arg(allow_negative_numbers = true, value_parser = whole)]
     pub y: i64,
-    #[arg(allow_negative_numbers = true)]
+    #[arg(allow_negative_numbers = true, value_parser = whole)]
     pub z: i64,
+}
+
+fn whole(s: &str) -> Result<i64, String> {
+    s.parse().map_err(|_| "expected a whole number".to_owned())
 }
 
 /// What `query` prints.

@@ -372,7 +372,9 @@ impl PcastFile {
 
         let (start, column) = blob.column(Section::GeometryTable, Section::Geometry, ix)?;
         let Some(place) = column_rle::at_or_below(column, form, y) else { return Ok(AIR) };
-        let shown = (y - place.start < place.len).then(|| place.color + (y - place.start));
+        // A forged column's run may start above y.
+        let above = y.checked_sub(place.start).filter(|&above| above < place.len);
+        let shown = above.map(|above| place.color.wrapping_add(above));
         if shown.is_none() && !(self.encoding == Encoding::Surface && blob.fill(start / 2 + place.run)) {
             return Ok(AIR);
         }

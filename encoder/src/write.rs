@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{BufWriter, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
 use rayon::prelude::*;
@@ -43,6 +43,26 @@ pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Re
     drop(out);
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     file.persist(&target).map_err(|e| Error::io(path, "create", e.error))?;
+    Ok(())
+}
+
+/// What a path leads to, links and dots resolved; a file that is not there yet is taken to be in its folder.
+pub fn resolved(path: &Path) -> PathBuf {
+    fs::canonicalize(path).unwrap_or_else(|_| {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        match (fs::canonicalize(folder), path.file_name()) {
+            (Ok(folder), Some(name)) => folder.join(name),
+            _ => path.to_path_buf(),
+        }
+    })
+}
+
+/// Refuses to write `output` over `input`, which would be lost.
+pub fn keep_input(input: &Path, flag: &str, output: &Path) -> Result<()> {
+    if resolved(input) == resolved(output) {
+        let output = output.display();
+        return Err(Error::Argument(format!("{flag} {output}: is the input itself; name another file to write")));
+    }
     Ok(())
 }
 

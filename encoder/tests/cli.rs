@@ -61,10 +61,42 @@ fn cli_faults_of_the_input_exit_with_1_and_of_the_command_line_with_2() {
     assert_eq!(status, Some(1));
     assert!(text.starts_with("planecast-encode: none.pcast: cannot open: "), "{text}");
     assert!(!dir.join("b.raw").exists());
-    let colors = ["encode", "a.raw", "--dims", "2,2,2", "-o", "a.pcast", "--color", "voxel"];
-    let (status, text) = fails(dir, &colors);
+    let (status, text) = fails(dir, &["encode", "a.raw", "--dims", "2,2", "-o", "a.pcast"]);
     assert_eq!(status, Some(2));
-    assert_eq!(text, "planecast-encode: the input has no colours, but --color voxel asks for them\n");
+    assert!(text.contains("expected three whole numbers, as in 256,128,64"), "{text}");
+    assert_eq!(fails(dir, &["encode", "procedural:terrain?size=0", "-o", "a.pcast"]).0, Some(2));
     assert_eq!(fails(dir, &["query", "a.pcast", "1", "2"]).0, Some(2));
+    let (_, text) = fails(dir, &["query", "a.pcast", "1", "2", "z"]);
+    assert!(text.contains("expected a whole number"), "{text}");
     assert!(!dir.join("a.pcast").exists());
+}
+
+#[test]
+fn cli_colours_what_has_no_colours_grey_where_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    std::fs::write(dir.join("a.raw"), [1, 0, 0, 1, 1, 1, 0, 0]).unwrap();
+    for color in ["run", "voxel"] {
+        ok(dir, &["encode", "a.raw", "--dims", "2,2,2", "-o", "a.pcast", "--color", color]);
+        assert_eq!(ok(dir, &["query", "a.pcast", "1", "1", "0"]), "{\"solid\":true,\"color\":\"#808080\"}\n");
+    }
+}
+
+#[test]
+fn cli_writes_no_output_over_its_input() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    std::fs::create_dir(dir.join("sub")).unwrap();
+    std::fs::write(dir.join("a.raw"), [1; 8]).unwrap();
+    ok(dir, &["encode", "a.raw", "--dims", "2,2,2", "-o", "a.pcast"]);
+    let before = std::fs::read(dir.join("a.pcast")).unwrap();
+    for args in
+        [&["encode", "a.raw", "--dims", "2,2,2", "-o", "sub/../a.raw"][..], &["decode", "a.pcast", "-o", "./a.pcast"]]
+    {
+        let (status, text) = fails(dir, args);
+        assert_eq!(status, Some(2));
+        assert!(text.ends_with("is the input itself; name another file to write\n"), "{text}");
+    }
+    assert_eq!(std::fs::read(dir.join("a.raw")).unwrap(), [1; 8]);
+    assert_eq!(std::fs::read(dir.join("a.pcast")).unwrap(), before);
 }

@@ -165,6 +165,16 @@ impl Fan {
     fn index(&self, plane: u32, sample: u32) -> usize {
         self.first_sample + plane as usize * self.n_samples as usize + sample as usize
     }
+
+    /// The plane on a place's other side; at a fan's end, the place's own.
+    #[inline(always)]
+    fn beside(&self, place: Place) -> u32 {
+        if place.at < self.place(place.plane).0 {
+            place.plane.saturating_sub(1)
+        } else {
+            (place.plane + 1).min(self.n_planes - 1)
+        }
+    }
 }
 
 /// Colour and depth of each pixel, `width` a row: those of the nearest plane's sample.
@@ -291,11 +301,22 @@ pub fn remap_retest(
                 // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
                 let inverse = ray.to_array().map(|d| if d.abs() < 1e-30 { 1e30 } else { (1.0 / d) as f32 });
                 let own = fan.index(place.plane, place.sample);
-                let own_voxel = buffer.voxel[own];
-                let hit = if own_voxel == SKY { None } else { boxes.enter(own_voxel, inverse) };
-                let (chosen, z) = match hit {
-                    Some(near) => (own, near),
-                    None => {
+                let second = fan.beside(place);
+                let beside = fan.index(second, place.sample);
+                let plane = &setup.planes[(fan.first_plane + second) as usize];
+                // Beyond a plane's own samples its part of the buffer is not drawn.
+                let drawn = (plane.first..plane.end).contains(&place.sample);
+                let enter = |i: usize| match buffer.voxel[i] {
+                    SKY => None,
+                    voxel => boxes.enter(voxel, inverse),
+                };
+                // The ray may meet the own plane's voxel inside the surface, behind a voxel that only the plane on its
+                // other side shows: the nearer of the two is what it sees.
+                let (chosen, z) = match (enter(own), drawn.then(|| enter(beside)).flatten()) {
+                    (Some(a), Some(b)) if b < a => (beside, b),
+                    (Some(a), _) => (own, a),
+                    (None, Some(b)) => (beside, b),
+                    _ => {
                         let (found, near) = retest(setup, fan, buffer, &boxes, place, inverse, own);
                         (found, near.unwrap_or(buffer.depth[found]))
                     }
@@ -322,11 +343,7 @@ fn retest(
     inverse: [f32; 3],
     own: usize,
 ) -> (usize, Option<f32>) {
-    let second = if place.at < fan.place(place.plane).0 {
-        place.plane.saturating_sub(1)
-    } else {
-        (place.plane + 1).min(fan.n_planes - 1)
-    };
+    let second = fan.beside(place);
     let mut best: Option<(usize, f32)> = None;
     let mut sky = (buffer.voxel[own] == SKY).then_some(own);
     for k in [place.plane, second] {
@@ -353,16 +370,50 @@ fn retest(
     }
 }
 
-/// Which sample of the plane buffer each pixel takes; [`HOLE`] where no plane passes within half a pixel.
+/// Which sample of the plane buffer each pixel takes; with fewer planes than reach every pixel, [`HOLE`] where none passes
+/// within half a pixel.
 pub fn remap_index(setup: &Setup, width: u32, index: &mut [u32]) {
+    let sparse = setup.is_sparse();
     index.par_chunks_mut(width as usize).enumerate().for_each(|(r, out)| {
         let row = Row::new(setup, r as u32, width);
         for stretch in row.stretches() {
             let fan = &setup.fans[stretch.fan];
             row.gather(stretch, |x, place| {
-                let covered = row.covered(stretch, x, place);
+                let covered = !sparse || row.covered(stretch, x, place);
                 out[x] = if covered { fan.index(place.plane, place.sample) as u32 } else { HOLE };
             });
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CpuRenderer, Options, Outputs, Resident};
+    use glam::DVec3;
+    use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
+
+    #[test]
+    fn retest_sees_no_voxel_behind_the_surface() {
+        let columns = Columns::from_fn(64, 64, 16, |_, _, z| z < 8);
+        let input = Input { columns, colors: Colors::None, notes: Vec::new() };
+        let scene = build(input, &BuildOptions::default()).unwrap();
+        let resident = Resident::new(&scene);
+        let mut renderer = CpuRenderer::new(&scene, &resident);
+        for (pitch, roll) in [(-20.0, 0.0), (30.0, 25.0), (0.0, 90.0)] {
+            let eye = DVec3::new(31.3, 33.7, 24.2);
+            let camera = Camera { eye, yaw: 11.0, pitch, roll, fov: 60.0, width: 200, height: 150 };
+            let options = Options { lod: None, ..Options::default() };
+            let frame = renderer.render(&camera, &options, Outputs::default()).unwrap();
+            let basis = camera.basis();
+            let behind = (0..frame.depth.len()).filter(|&i| {
+                let (x, y) = ((i % 200) as f64 + 0.5, (i / 200) as f64 + 0.5);
+                let wall = (8.0 - eye.z) / camera.ray(&basis, x, y).z;
+                let z = f64::from(frame.depth[i]);
+                z.is_finite() && z > wall + 1e-3
+            });
+            let behind = behind.count() as f64 / frame.depth.len() as f64;
+            assert!(behind < 0.01, "pitch {pitch}, roll {roll}: {behind} of the pixels");
+        }
+    }
 }

@@ -646,7 +646,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         self.runs(level, l, column, top, more, t0, t1, lo, hi);
     }
 
-    /// Draws the runs of one column that may show between heights `lo` and `hi`, from the top down.
+    /// Draws the runs of one column that may show between heights `lo` and `hi`: nearest to the eye's height first, since
+    /// that is the order in which sight lines meet them. Down from the eye, then up from it.
     #[expect(clippy::too_many_arguments, reason = "what `column` knows already")]
     #[inline(always)]
     fn runs(
@@ -654,7 +655,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         level: &'a ResidentLevel,
         l: u32,
         column: usize,
-        mut run: Run,
+        top: Run,
         more: u32,
         t0: R,
         t1: R,
@@ -669,51 +670,86 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let eye = self.eye_y;
         let fract = self.fract_y;
         let far = R::from_i32(1 << 30);
-        let whole = |lo: R, hi: R| {
+        let whole = |(lo, hi): (R, R)| {
             let floor = |h: R| (h + fract).min(far).max(R::ZERO - far).floor_i32().saturating_add(eye);
             (floor(lo), floor(hi).saturating_add(1))
         };
-        let (mut below, mut above) = whole(lo, hi);
-        let mut k = 0;
-        loop {
-            self.counters.runs_visited += 1;
-            if ((run.end() << l) as i32) <= below {
-                return;
+        let (mut below, mut above) = whole((lo, hi));
+        let n = rest.len() + 1;
+        let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
+        let first = |run: Run| (u32::from(run.first()) << l) as i32;
+        let end = |run: Run| (run.end() << l) as i32;
+        // How many runs, from the top down, start at `y` or above.
+        let starting = |y: i32| if first(top) < y { 0 } else { 1 + rest.partition_point(|&r| first(Run(r)) >= y) };
+        // From the eye outwards: first the runs that do not start above it, downwards, then those above, upwards.
+        let (mut over, mut k) = (0, 0);
+        if n > 8 {
+            // Of many runs, binary search for the first that the window holds.
+            over = starting(eye + 1);
+            k = over.max(starting(above));
+        } else {
+            while over < n && first(run(over)) > eye {
+                over += 1;
             }
-            if ((u32::from(run.first()) << l) as i32) < above {
-                let (h0, h1) = (self.height(u32::from(run.first()) << l), self.height(run.end() << l));
-                // Slopes of the run's ends: its highest and its lowest place in the window.
-                let inside = (FAST || self.culling.center)
-                    && self.center[1] > self.center[0]
-                    && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
-                    && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 };
-                if !inside {
-                    self.draw(level, l, t1, Drawn { run, k, column, h0, h1, t0 });
-                    if self.closed() {
-                        return;
-                    }
-                    if rest.len() > k as usize {
-                        let (lo, hi) = self.visible(t0, t1);
-                        (below, above) = whole(lo, hi);
-                    }
-                }
-            } else if k == 0 && rest.len() > 8 {
-                // All above the window: binary search for the first run that reaches down into it.
-                k = rest.partition_point(|&r| (u32::from(Run(r).first()) << l) as i32 >= above) as u32;
-            }
-            match rest.get(k as usize) {
-                Some(&r) => run = Run(r),
-                None => return,
-            }
-            k += 1;
+            k = k.max(over);
         }
+        let mut step = 1;
+        loop {
+            if k >= n {
+                // Past the lowest run; or, upwards, past the highest: there `k` has wrapped round.
+                if step < 0 || over == 0 {
+                    return;
+                }
+                step = -1;
+                k = if n > 8 { over.min(1 + rest.partition_point(|&r| end(Run(r)) > below)) } else { over };
+                k = k.wrapping_sub(1);
+                continue;
+            }
+            self.counters.runs_visited += 1;
+            let run = run(k);
+            if end(run) <= below {
+                if step > 0 {
+                    k = n;
+                    continue;
+                }
+            } else if first(run) >= above {
+                if step < 0 {
+                    return;
+                }
+            } else if self.draw_run(level, l, column, run, k as u32, t0, t1) {
+                if self.closed() {
+                    return;
+                }
+                if n > 1 {
+                    (below, above) = whole(self.visible(t0, t1));
+                }
+            }
+            k = k.wrapping_add_signed(step);
+        }
+    }
+
+    /// Draws run number `k` of a column, unless it lies in the center segment; whether it did.
+    #[expect(clippy::too_many_arguments, reason = "what `runs` knows already")]
+    #[inline(always)]
+    fn draw_run(&mut self, level: &'a ResidentLevel, l: u32, column: usize, run: Run, k: u32, t0: R, t1: R) -> bool {
+        let (h0, h1) = (self.height(u32::from(run.first()) << l), self.height(run.end() << l));
+        // Slopes of the run's ends: its highest and its lowest place in the window.
+        let inside = (FAST || self.culling.center)
+            && self.center[1] > self.center[0]
+            && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
+            && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 };
+        if !inside {
+            self.draw(level, l, t1, Drawn { run, k, column, h0, h1, t0 });
+        }
+        !inside
     }
 
     #[inline(always)]
     fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
         let Drawn { h0, h1, t0, .. } = d;
-        let j0 = self.sample(if h0 > R::ZERO { t1 } else { t0 }, h0);
-        let j1 = self.sample(if h1 < R::ZERO { t1 } else { t0 }, h1);
+        // At the eye's own height any distance has slope 0, but for 0, where an eye on a run's face would see nothing of it.
+        let j0 = self.sample(if h0 >= R::ZERO { t1 } else { t0 }, h0);
+        let j1 = self.sample(if h1 <= R::ZERO { t1 } else { t0 }, h1);
         if j0 >= j1 {
             return;
         }

@@ -15,7 +15,7 @@ use planecast::{
     Resident, Shading,
 };
 use planecast_encoder::source::procedural::{Kind, procedural};
-use planecast_encoder::{BuildOptions, ColorMode, Encoding, Scene, build};
+use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
 
 const VOXEL: Outputs = Outputs { voxel: true };
 
@@ -180,13 +180,40 @@ fn kernels_show_what_exact_rays_meet() {
     }
 }
 
+/// Slabs above slabs, broken by holes: what hangs lower is nearer to an eye below, and hides what hangs higher.
+#[test]
+fn planes_kernels_draw_ceilings_from_the_eye_outwards() {
+    if !gpu_wanted() {
+        return;
+    }
+    let solid = |x: u32, y: u32, z: u32| y == 0 || (y >= 24 && y % 4 < 2 && (x * 7 + z * 13 + y / 4 * 5) % 11 < 7);
+    let columns = Columns::from_fn(64, 64, 64, solid);
+    let input = Input { columns, colors: Colors::None, notes: Vec::new() };
+    let scene = build(input, &BuildOptions::default()).unwrap();
+    let resident = Resident::new(&scene);
+    let options = Options { lod: None, ..flat() };
+    // In the air, and on the very face of a slab.
+    for (y, pitch) in [(12.4, 0.0), (12.4, 30.0), (12.4, 75.0), (12.4, 90.0), (24.0, 20.0), (1.0, -10.0), (1.0, 45.0)] {
+        let eye = DVec3::new(31.3, y, 30.6);
+        let camera = Camera { eye, yaw: 33.0, pitch, roll: 0.0, fov: 70.0, width: 121, height: 90 };
+        let expected = CpuRenderer::new(&scene, &resident).render(&camera, &options, VOXEL).unwrap();
+        for kernel in [Kernel::Invocation, Kernel::Workgroup] {
+            let mut gpu = GpuRenderer::new(&scene, &resident, gpu_options(kernel)).unwrap();
+            let drawn = gpu.render(&camera, &options, VOXEL).unwrap();
+            agrees(&format!("{} at {y}", kernel.name()), &camera, &compare(&drawn, &expected));
+        }
+    }
+}
+
 #[test]
 fn raycast_draws_the_levels_that_planes_draw() {
     if !gpu_wanted() {
         return;
     }
     let world = rocks();
-    let options = Options { lod: Some(3.0), repeat: Repeat { x: true, z: true }, view_distance: 1500.0, ..flat() };
+    // A plane a pixel: the levels are compared here, not the spacing.
+    let repeat = Repeat { x: true, z: true };
+    let options = Options { lod: Some(3.0), repeat, view_distance: 1500.0, readjust: false, ..flat() };
     against_cpu(&world, gpu_options(Kernel::Raycast), &options, |camera, drawn, expected| {
         let d = compare(&drawn, &expected);
         println!("{:?}: {d}", (camera.yaw, camera.pitch, camera.roll));

@@ -17,7 +17,7 @@ mod volume;
 mod vox;
 mod vxl;
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::Read;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -48,13 +48,13 @@ pub struct ReadOptions {
     #[arg(long, value_enum, value_name = "TYPE")]
     pub dtype: Option<Dtype>,
     /// Voxels of at least this value are solid [default: above 0 for u8; needed for other types]
-    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = number)]
     pub iso: Option<f64>,
     /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
     /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     pub height_scale: Option<f64>,
 }
 
@@ -117,10 +117,14 @@ impl Dtype {
     }
 }
 
+fn number(s: &str) -> Result<f64, String> {
+    s.trim().parse().ok().filter(|v: &f64| !v.is_nan()).ok_or_else(|| "expected a number".to_owned())
+}
+
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
-    let parts: Vec<u64> =
-        s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|e| format!("{e}"))?;
-    let dims: [u64; 3] = parts.try_into().map_err(|_| "three sizes are needed, as in 256,128,64".to_owned())?;
+    let wrong = || "expected three whole numbers, as in 256,128,64".to_owned();
+    let parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let dims: [u64; 3] = parts.try_into().map_err(|_| wrong())?;
     if dims.contains(&0) {
         return Err("every size must be at least 1".to_owned());
     }
@@ -214,10 +218,15 @@ fn detect_content(head: &[u8]) -> Option<Format> {
 
 /// A whole file in memory, mapped.
 fn map(path: &Path) -> Result<impl Deref<Target = [u8]> + use<>> {
-    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-    if file.metadata().map_err(|e| Error::io(path, "read", e))?.is_dir() {
+    // Looked at before it is opened: to open a pipe would wait for its other end.
+    let kind = fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
+    if kind.is_dir() {
         return Err(Error::format(path, "this is a folder; expected a file"));
     }
+    if !kind.is_file() {
+        return Err(Error::format(path, "this is a device or a pipe; expected a file"));
+    }
+    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     // SAFETY: the mapping is read-only and lives as long as the import. A file that another process shortens
     // meanwhile ends this one by SIGBUS, the accepted price of not copying volumes larger than memory.
     unsafe { memmap2::Mmap::map(&file) }.map_err(|e| Error::io(path, "map", e))

@@ -16,7 +16,7 @@ struct File(tempfile::TempDir, PathBuf);
 fn file(name: &str, bytes: &[u8]) -> File {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
+    fs::write(&path, bytes).unwrap();
     File(dir, path)
 }
 
@@ -288,9 +288,9 @@ fn nrrd_reads_raw_gzip_and_detached_values() {
     assert_volume(&read("a.nrrd", &big, "--iso 20"), false, solid);
 
     let header = file("a.nhdr", format!("{NRRD}encoding: raw\ndata file: a.raw\n").as_bytes());
-    std::fs::write(header.0.path().join("a.raw"), &data).unwrap();
+    fs::write(header.0.path().join("a.raw"), &data).unwrap();
     assert_volume(&open(&header.1, &opts("--iso 20")).unwrap(), false, solid);
-    std::fs::remove_file(header.0.path().join("a.raw")).unwrap();
+    fs::remove_file(header.0.path().join("a.raw")).unwrap();
     assert!(open(&header.1, &opts("--iso 20")).is_err_and(|e| e.to_string().contains("a.raw: cannot open")));
 }
 

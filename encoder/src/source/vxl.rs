@@ -52,7 +52,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
             format!(
                 "{} bytes; a map of {nx} × {nz} columns needs at least {}",
                 bytes.len(),
-                claimed * 4 + start as u64
+                claimed.saturating_mul(4).saturating_add(start as u64)
             ),
         ));
     }

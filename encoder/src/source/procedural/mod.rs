@@ -74,7 +74,7 @@ pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Input> {
         Kind::Menger => 3u32.pow(menger::MAX_LEVEL),
     };
     if !(1..=max).contains(&size) {
-        return Err(Error::Limit(format!("a procedural scene of size {size}: this kind is made from 1 to {max}")));
+        return Err(Error::Argument(format!("a procedural scene of size {size}: this kind is made from 1 to {max}")));
     }
     match kind {
         Kind::Terrain => landscape::make(size, seed, landscape::Style::Terrain),

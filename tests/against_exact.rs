@@ -1,0 +1,385 @@
+//! Planes against one ray a pixel, and that against brute force. Figures: `cargo test --release --test against_exact --
+//! --nocapture`.
+
+mod common;
+
+use common::compare::{Agreement, compare, sane};
+use common::{Kind, MEDIUM, Random, World, caves, hills, odd, plain, poses, rocks, room, sheets, staircase};
+use glam::DVec3;
+use planecast::exact::cast;
+use planecast::{Camera, Options, Planes, Remap, Repeat};
+use planecast_encoder::Columns;
+
+const SIZE: [u32; 2] = [300, 240];
+
+/// Least share of pixels with the same voxel, and of those with it within one pixel, in percent.
+fn bounds(kind: Kind) -> [f64; 2] {
+    match kind {
+        Kind::Level => [99.8, 99.8],
+        Kind::Turned => [95.0, 99.5],
+        Kind::Far => [90.0, 97.0],
+    }
+}
+
+fn check(worlds: &[World], options: &Options, size: [u32; 2]) {
+    let mut below = Vec::new();
+    let mut total: [Agreement; 3] = Default::default();
+    for world in worlds {
+        for pose in poses(world, size) {
+            let (frame, exact) = (world.render(&pose.camera, options), world.exact(&pose.camera, options));
+            let agreement = compare(&frame, &exact);
+            let line = format!("{:16} {:48} {agreement}", world.name, pose.name);
+            println!("{line}");
+            assert_eq!(sane(&frame), Ok(()), "{line}");
+            assert_eq!(sane(&exact), Ok(()), "{line}");
+            let [same, near] = bounds(pose.kind);
+            if agreement.same_percent() < same || agreement.near_percent() < near || agreement.depth > 1e-3 {
+                below.push(format!("{line}  (at least {same} and {near}, depth 1e-3)"));
+            }
+            let sum = &mut total[pose.kind as usize];
+            sum.pixels += agreement.pixels;
+            sum.same += agreement.same;
+            sum.near += agreement.near;
+            sum.sky += agreement.sky;
+            sum.depth = sum.depth.max(agreement.depth);
+        }
+    }
+    for (kind, sum) in [Kind::Level, Kind::Turned, Kind::Far].iter().zip(total) {
+        println!("all {:60} {sum}", format!("{kind:?}"));
+    }
+    assert!(below.is_empty(), "{} poses are beyond their bounds:\n{}", below.len(), below.join("\n"));
+}
+
+#[test]
+fn planes_show_the_voxels_of_exact() {
+    check(&[hills(MEDIUM), caves(), rocks()], &plain(), SIZE);
+}
+
+#[test]
+fn planes_a_pixel_apart_show_the_voxels_of_exact() {
+    check(&[hills(MEDIUM), caves()], &Options { readjust: false, ..plain() }, SIZE);
+}
+
+#[test]
+fn planes_show_thin_and_regular_things_as_exact_does() {
+    check(&[staircase(), sheets(), odd(), room()], &plain(), SIZE);
+}
+
+/// Figures of the other ways to remap: what retest and planes twice as close gain.
+#[test]
+fn retest_and_more_planes_come_nearer_to_exact() {
+    let worlds = [hills(MEDIUM), caves(), sheets()];
+    let mut same = Vec::new();
+    for (name, options) in [
+        ("nearest, half the planes", Options { planes: Planes::Factor(0.5), remap: Remap::Nearest, ..plain() }),
+        ("nearest", Options { remap: Remap::Nearest, ..plain() }),
+        ("retest", plain()),
+        ("retest, twice the planes", Options { planes: Planes::Factor(2.0), ..plain() }),
+    ] {
+        let mut sum = Agreement::default();
+        for world in &worlds {
+            for pose in poses(world, [150, 120]).iter().filter(|p| p.kind != Kind::Level) {
+                let agreement = compare(&world.render(&pose.camera, &options), &world.exact(&pose.camera, &options));
+                sum.pixels += agreement.pixels;
+                sum.same += agreement.same;
+                sum.near += agreement.near;
+                sum.sky += agreement.sky;
+            }
+        }
+        println!("{name:28} {sum}");
+        same.push(sum.same);
+    }
+    assert!(same.is_sorted(), "{same:?} of as many pixels");
+}
+
+/// A fault of the planes that the bounds must catch: the picture stands one pixel too far to the left.
+#[test]
+fn bounds_catch_planes_beside_their_place() {
+    let world = hills(MEDIUM);
+    let mut caught = 0;
+    let poses = poses(&world, SIZE);
+    for pose in &poses {
+        let mut beside = pose.camera;
+        let e = 2.0 * beside.half_extent().x / f64::from(beside.width);
+        beside.yaw += e.atan().to_degrees();
+        let agreement = compare(&world.render(&beside, &plain()), &world.exact(&pose.camera, &plain()));
+        let [same, near] = bounds(pose.kind);
+        caught += usize::from(agreement.same_percent() < same || agreement.near_percent() < near);
+    }
+    assert!(caught * 2 > poses.len(), "{caught} of {} poses", poses.len());
+}
+
+/// With levels, a pixel's cell holds the voxel that exact shows there or in a pixel around.
+#[test]
+fn levels_show_cells_that_hold_the_voxels_of_exact() {
+    for world in [hills(MEDIUM), caves(), odd()] {
+        for pose in poses(&world, [150, 120]) {
+            let options = Options { lod: Some(1.0), ..plain() };
+            let (frame, exact) = (world.render(&pose.camera, &options), world.exact(&pose.camera, &options));
+            let holds = |i: usize, j: usize| {
+                let (cell, voxel) = (frame.voxel[i], exact.voxel[j]);
+                if cell[3] < 0 || voxel[3] < 0 {
+                    return cell == voxel;
+                }
+                // A coarse cell is solid where any of its voxels is, so it may show up to a cell further out.
+                let n = 1 << cell[3];
+                let margin = if n > 1 { n } else { 0 };
+                (0..3).all(|k| (cell[k] - margin..cell[k] + n + margin).contains(&voxel[k]))
+            };
+            let around = |i: usize| {
+                let (x, y) = (i % 150, i / 150);
+                let near = |v: usize, n: usize| v.saturating_sub(1)..(v + 2).min(n);
+                near(y, 120).any(|y| near(x, 150).any(|x| holds(i, y * 150 + x)))
+            };
+            let n = (0..frame.voxel.len()).filter(|&i| around(i)).count();
+            let percent = 100.0 * n as f64 / frame.voxel.len() as f64;
+            let coarse = frame.voxel.iter().filter(|v| v[3] > 0).count();
+            println!("{:16} {:48} {percent:.3} %  coarse {coarse}", world.name, pose.name);
+            let least = if pose.kind == Kind::Far { 90.0 } else { 97.0 };
+            assert!(percent > least, "{} {}: {percent} %", world.name, pose.name);
+        }
+    }
+}
+
+/// Edges and corners that a ray touches for less than this may count or not.
+const TOUCH: f64 = 1e-9;
+
+/// The entries of a ray into every voxel of a world, from each voxel's six faces: `(near, far, voxel)`.
+fn boxes(columns: &Columns, eye: DVec3, dir: DVec3) -> Vec<(f64, f64, [i64; 3])> {
+    let mut met = Vec::new();
+    let [nx, ny, nz] = columns.dims().map(i64::from);
+    for (x, y, z) in (0..nx).flat_map(|x| (0..ny).flat_map(move |y| (0..nz).map(move |z| (x, y, z)))) {
+        if !columns.solid(x, y, z) {
+            continue;
+        }
+        let (mut near, mut far) = (0.0f64, f64::INFINITY);
+        for (axis, v) in [x, y, z].into_iter().enumerate() {
+            let (from, to) = (v as f64 - eye[axis], v as f64 + 1.0 - eye[axis]);
+            if dir[axis] == 0.0 {
+                if from > 0.0 || to <= 0.0 {
+                    far = f64::NEG_INFINITY;
+                }
+                continue;
+            }
+            let (a, b) = (from / dir[axis], to / dir[axis]);
+            near = near.max(a.min(b));
+            far = far.min(a.max(b));
+        }
+        // A rounding's width over: what is only touched is for the caller to judge.
+        if near <= far + TOUCH {
+            met.push((near, far, [x, y, z]));
+        }
+    }
+    met
+}
+
+/// Compares one ray of `exact` with all voxels of the world; what is wrong, if anything is.
+fn disagrees(columns: &Columns, eye: DVec3, dir: DVec3, hit: Option<([i64; 3], f64)>) -> Option<String> {
+    let met = boxes(columns, eye, dir);
+    let first = met.iter().filter(|b| b.1 - b.0 > TOUCH).map(|b| b.0).fold(f64::INFINITY, f64::min);
+    match hit {
+        None => (first < f64::INFINITY).then(|| format!("nothing, but a voxel is met at {first}")),
+        Some((voxel, t)) => match met.iter().find(|b| b.2 == voxel) {
+            None => Some(format!("{voxel:?}, which the ray does not meet")),
+            Some(b) if (b.0 - t).abs() > TOUCH * (1.0 + t) => Some(format!("{voxel:?} at {t}, not at {}", b.0)),
+            Some(_) => (first < t - TOUCH * (1.0 + t)).then(|| format!("{voxel:?} at {t}, but one is met at {first}")),
+        },
+    }
+}
+
+/// Worlds of a few voxels, one the size of a single column.
+fn tiny() -> Vec<World> {
+    let share = |dims, percent: u32| {
+        World::new("tiny", dims, move |x, y, z| common::hash(percent, [x as i32, y as i32, z as i32]) % 100 < percent)
+    };
+    vec![share([7, 6, 5], 5), share([5, 9, 8], 30), share([6, 6, 6], 70), share([1, 12, 1], 40), share([9, 1, 3], 50)]
+}
+
+/// Eyes and directions: at random, on grid lines and planes, along axes and diagonals, one ulp beside them.
+fn tricky_rays(world: &World, n: usize) -> Vec<(DVec3, DVec3)> {
+    let mut random = Random::new(11);
+    let dims = world.dims().map(f64::from);
+    let on_grid = [0.0, 0.5, 1.0, 1e-9, -1e-9, f64::EPSILON];
+    let component = [0.0, -0.0, 1.0, -1.0, 0.5, 1e-7, -1e-7, 1e-300];
+    let mut rays = Vec::new();
+    while rays.len() < n {
+        let mut eye = DVec3::ZERO;
+        let mut dir = DVec3::ZERO;
+        let (grid, axis) = (random.word().is_multiple_of(2), random.word().is_multiple_of(2));
+        for k in 0..3 {
+            let v = random.within(-0.7, 1.7) * dims[k];
+            eye[k] = if grid { v.floor() + random.choose(&on_grid) } else { v };
+            dir[k] = if axis { random.choose(&component) } else { random.within(-1.0, 1.0) };
+        }
+        if dir != DVec3::ZERO && !world.buries(eye) {
+            // At length 1, so that parameters are distances.
+            rays.push((eye, dir.normalize()));
+        }
+    }
+    rays
+}
+
+#[test]
+fn exact_agrees_with_every_voxel_tested_by_itself() {
+    for world in tiny() {
+        let columns = &world.scene.levels[0].solid;
+        let mut hits = 0;
+        for (eye, dir) in tricky_rays(&world, 6000) {
+            let hit = cast(columns, [false; 2], eye, dir, f64::INFINITY).map(|h| (h.voxel, h.t));
+            hits += u32::from(hit.is_some());
+            let fault = disagrees(columns, eye, dir, hit);
+            assert_eq!(fault, None, "{:?}: eye {eye:?} along {dir:?}", world.dims());
+        }
+        assert!((100..5900).contains(&hits), "{hits} hits of 6000 say little");
+    }
+}
+
+#[test]
+fn brute_force_catches_a_wrong_voxel_depth_and_miss() {
+    let world = &tiny()[1];
+    let columns = &world.scene.levels[0].solid;
+    let (eye, dir, hit) = tricky_rays(world, 500)
+        .into_iter()
+        .find_map(|(eye, dir)| Some((eye, dir, cast(columns, [false; 2], eye, dir, f64::INFINITY)?)))
+        .expect("a ray that hits");
+    let [x, y, z] = hit.voxel;
+    let fault = |hit| disagrees(columns, eye, dir, hit).expect("a fault");
+    assert!(fault(Some(([x + 90, y, z], hit.t))).contains("does not meet"));
+    assert!(fault(Some((hit.voxel, hit.t + 1e-6))).contains("not at"));
+    assert!(fault(None).starts_with("nothing, but"));
+    let behind = boxes(columns, eye, dir).into_iter().find(|b| b.0 > hit.t + 1e-3);
+    if let Some((t, _, voxel)) = behind {
+        assert!(fault(Some((voxel, t))).contains("but one is met at"));
+    }
+}
+
+/// A repeated world is the same as copies of it side by side.
+#[test]
+fn exact_repeats_a_world_as_copies_of_it() {
+    let world = &tiny()[1];
+    let [nx, ny, nz] = world.dims();
+    let one = &world.scene.levels[0].solid;
+    let copies = Columns::from_fn(7 * nx, ny, 5 * nz, |x, y, z| one.find(x % nx, y, z % nz).is_some());
+    let mut random = Random::new(3);
+    let shift = DVec3::new(f64::from(3 * nx), 0.0, f64::from(2 * nz));
+    for _ in 0..2000 {
+        let eye = DVec3::new(random.within(0.0, 5.0), random.within(-2.0, 14.0), random.within(0.0, 8.0));
+        let dir = DVec3::from_array(std::array::from_fn(|_| random.within(-1.0, 1.0)));
+        let t_max = 14.0 / dir.x.hypot(dir.z);
+        let a = cast(one, [true; 2], eye, dir, t_max);
+        let b = cast(&copies, [false; 2], eye + shift, dir, t_max);
+        let [dx, dz] = [i64::from(3 * nx), i64::from(2 * nz)];
+        assert_eq!(
+            a.map(|h| ([h.voxel[0] + dx, h.voxel[1], h.voxel[2] + dz], h.face)),
+            b.map(|h| (h.voxel, h.face)),
+            "eye {eye:?} along {dir:?}"
+        );
+    }
+}
+
+/// A pose anywhere in the room's air.
+fn random_pose(random: &mut Random, room: &World) -> Camera {
+    let [nx, ny, nz] = room.dims().map(f64::from);
+    loop {
+        let mut eye =
+            DVec3::new(random.within(1.0, nx - 1.0), random.within(1.0, ny - 1.0), random.within(1.0, nz - 1.0));
+        // Also on grid lines.
+        if random.word().is_multiple_of(5) {
+            eye = eye.floor();
+        }
+        let (any_pitch, tiny_pitch) = (random.within(-90.0, 90.0), random.within(-1e-6, 1e-6));
+        let pitch = random.choose(&[any_pitch, any_pitch, tiny_pitch, 90.0, -90.0, 0.0]);
+        let any_roll = random.within(-180.0, 180.0);
+        let roll = random.choose(&[any_roll, any_roll, 0.0, 45.0, 90.0, 1e-7]);
+        let [width, height] = random.choose(&[[64, 48], [47, 63], [33, 33], [120, 5]]);
+        let (yaw, fov) = (random.within(0.0, 360.0), random.within(10.0, 120.0));
+        if !room.buries(eye) {
+            return Camera { eye, yaw, pitch, roll, fov, width, height };
+        }
+    }
+}
+
+#[test]
+fn closed_room_shows_no_sky() {
+    let room = room();
+    let mut random = Random::new(1);
+    for k in 0..800 {
+        let camera = random_pose(&mut random, &room);
+        let mut options = [plain(), Options { lod: Some(1.0), ..plain() }][k % 2];
+        options.remap = [Remap::Retest, Remap::Nearest][k / 2 % 2];
+        options.readjust = k / 4 % 2 == 1;
+        options.planes = [Planes::Auto, Planes::Auto, Planes::Factor(0.5), Planes::Factor(2.0)][k / 8 % 4];
+        let frame = room.render(&camera, &options);
+        let sky = frame.voxel.iter().filter(|v| v[3] < 0).count();
+        assert_eq!(sky, 0, "pose {k}: pixels of sky, {camera:?} {options:?}");
+        assert_eq!(sane(&frame), Ok(()), "pose {k}: {camera:?}");
+    }
+}
+
+#[test]
+fn open_room_shows_sky() {
+    let room = room();
+    let hole = World::new("room with a hole", room.dims(), |x, y, z| {
+        room.scene.levels[0].solid.find(x, y, z).is_some() && [x, y, z] != [0, 8, 10]
+    });
+    let camera = common::camera(DVec3::new(12.5, 8.5, 10.5), [270.0, 0.0, 0.0], [64, 48]);
+    assert!(hole.render(&camera, &plain()).voxel.contains(&[-1; 4]), "one missing voxel is seen");
+    assert!(!room.render(&camera, &plain()).voxel.contains(&[-1; 4]));
+}
+
+/// Each pixel's depth is where its own ray enters the voxel that it shows, if it meets it at all.
+#[test]
+fn depth_is_where_the_ray_enters_the_voxel_shown() {
+    for world in [hills(MEDIUM), caves(), sheets()] {
+        for pose in poses(&world, [150, 120]) {
+            let frame = world.render(&pose.camera, &plain());
+            let basis = pose.camera.basis();
+            let (mut met, mut shown) = (0, 0);
+            for (i, voxel) in frame.voxel.iter().enumerate().filter(|(_, v)| v[3] == 0) {
+                shown += 1;
+                let ray = pose.camera.ray(&basis, (i % 150) as f64 + 0.5, (i / 150) as f64 + 0.5);
+                let (mut near, mut far) = (0.0f64, f64::INFINITY);
+                for k in 0..3 {
+                    let from = f64::from(voxel[k]) - pose.camera.eye[k];
+                    let (a, b) = (from / ray[k], (from + 1.0) / ray[k]);
+                    near = near.max(a.min(b));
+                    far = far.min(a.max(b));
+                }
+                // Rays along grid planes give NaN, which min and max pass over.
+                if near < far * (1.0 - 1e-5) {
+                    met += 1;
+                    let depth = f64::from(frame.depth[i]);
+                    assert!((depth - near).abs() <= 1e-3 * near, "{} pixel {i}: {depth}, not {near}", pose.name);
+                }
+            }
+            assert!(100 * met >= 90 * shown, "{}: {met} of {shown} rays meet their voxel", pose.name);
+        }
+    }
+}
+
+/// Repeated worlds whose extents no level divides, and ones that some levels divide.
+#[test]
+fn repeated_worlds_of_any_size_agree_with_exact() {
+    for dims in [[77, 40, 53], [96, 40, 36], [64, 40, 1], [3, 40, 5]] {
+        let world = World::new("odd", dims, |x, y, z| y < 6 + common::hash(1, [x as i32 / 2, 0, z as i32 / 2]) % 9);
+        let eye = DVec3::new(1000.4, 22.0, -700.7);
+        let repeat = Repeat { x: true, z: true };
+        for turn in [[25.0, 0.0, 0.0], [300.0, -30.0, 0.0], [100.0, -75.0, 20.0]] {
+            let camera = common::camera(eye, turn, [150, 120]);
+            let options = Options { repeat, view_distance: 150.0, ..plain() };
+            let agreement = compare(&world.render(&camera, &options), &world.exact(&camera, &options));
+            let [same, near] = bounds(if turn[1] == 0.0 { Kind::Level } else { Kind::Far });
+            assert!(
+                agreement.same_percent() >= same && agreement.near_percent() >= near,
+                "{dims:?} {turn:?} {agreement}"
+            );
+            // With levels: only those whose cells fit the period, and the ground stays closed.
+            let levels = world.render(&camera, &Options { lod: Some(1.0), ..options });
+            let fits = |n: u32| n.trailing_zeros();
+            assert_eq!(levels.stats.levels_drawn, 1 + fits(dims[0]).min(fits(dims[2])).min(levels.stats.levels - 1));
+            let exact = world.exact(&camera, &options);
+            let sky = compare(&levels, &exact).sky as f64 / 18_000.0;
+            assert!(sky < 0.005, "{dims:?} {turn:?}: {sky} of the pixels");
+        }
+    }
+}
