@@ -430,9 +430,7 @@ fn draw_slice(l: u32, cell: i32, epoch: i32) {
         let h1 = heights((run >> vec2(16u)) + 1u, l);
         let above = h0 >= v1;
         let shows = live & (h1 > v0) & !above;
-        if (any(shows)) {
-            draw(shows, h0, h1, t0, t1, key + min(k, vec2(RUN_MANY)));
-        }
+        draw(shows, h0, h1, t0, t1, key + min(k, vec2(RUN_MANY)));
         live = live & (k < n_more) & (h0 > v0);
         if (any(live & above & (k == vec2(0u)) & (n_more > vec2(8u)))) {
             // All above the window: binary search for the first run that reaches down into it.
@@ -496,49 +494,51 @@ fn draw(shows: vec2<bool>, h0: vec2<f32>, h1: vec2<f32>, t0: vec2<f32>, t1: vec2
     // Beyond the window the division may be by nothing.
     let j = select(samples_at(t_low, h0), vec2(lo), h0 <= s.x * t_low);
     let j1 = select(samples_at(t_high, h1), vec2(hi), h1 >= s.y * t_high);
-    let drawn = shows & (j < j1);
-    if (drawn.x) {
-        span(j.x, j1.x, key.x);
+    // Nothing below `closed` can show: the first column is nearer than the second.
+    let shown = shows & (j < j1);
+    reach_lo = select(reach_lo, max(reach_lo, j1.x), shown.x && j.x == lo);
+    let closed = vec2(lo, max(lo, reach_lo));
+    let drawn = shown & (j1 > closed);
+    let rises = drawn & (j <= closed);
+    reach_lo = select(reach_lo, max(reach_lo, j1.y), rises.y);
+    let hangs = drawn & !rises & (j1 == vec2(hi));
+    reach_hi = select(reach_hi, min(reach_hi, j.x), hangs.x);
+    reach_hi = select(reach_hi, min(reach_hi, j.y), hangs.y);
+    n_spans += select(0u, 1u, drawn.x) + select(0u, 1u, drawn.y);
+    // The samples that blocks leave.
+    let start = select(j, max(j1 & vec2(~(RISE - 1)), closed), rises);
+    let end = select(select(j, j1, drawn), min((j + (BLOCK - 1)) & vec2(~(BLOCK - 1)), vec2(hi)), hangs);
+    let floating = drawn & !rises & !hangs;
+    if (any(floating)) {
+        atomicStore(&floats, 1u);
     }
-    if (drawn.y) {
-        span(j.y, j1.y, key.y);
+    note(start.x, end.x, key.x, rises.x && start.x > closed.x, hangs.x && end.x < hi);
+    note(start.y, end.y, key.y, rises.y && start.y > closed.y, hangs.y && end.y < hi);
+    fill(start, end, key);
+}
+
+fn note(start: i32, end: i32, key: u32, rises: bool, hangs: bool) {
+    if (rises || hangs) {
+        atomicMin(&keys[select(hanging(end), rising(start - 1), rises)], key);
     }
 }
 
-fn span(start: i32, end: i32, key: u32) {
-    n_spans += 1u;
+// Both columns' samples in one loop, a block at once where it is filled.
+fn fill(start: vec2<i32>, end: vec2<i32>, key: vec2<u32>) {
     var j = start;
-    var j1 = end;
-    if (j == lo) {
-        // All but the samples of the last block.
-        reach_lo = max(reach_lo, j1);
-        j = max(j1 & ~(RISE - 1), lo);
-        if (j > lo) {
-            atomicMin(&keys[rising(j - 1)], key);
+    loop {
+        let open = j < end;
+        if (!any(open)) {
+            break;
         }
-    } else if (j1 == hi) {
-        reach_hi = min(reach_hi, j);
-        j1 = min((j + BLOCK - 1) & ~(BLOCK - 1), hi);
-        if (j1 < hi) {
-            atomicMin(&keys[hanging(j1)], key);
+        let whole = ((j & vec2(BLOCK - 1)) == vec2(0)) & (j + BLOCK <= end);
+        if (open.x) {
+            atomicMin(&keys[select(sample(j.x), filled(j.x), whole.x)], key.x);
         }
-    } else {
-        atomicStore(&floats, 1u);
-        // The blocks that the span fills, then the samples after them.
-        let filled_from = (j + BLOCK - 1) & ~(BLOCK - 1);
-        let filled_to = j1 & ~(BLOCK - 1);
-        if (filled_from < filled_to) {
-            for (var i = filled_from; i < filled_to; i += BLOCK) {
-                atomicMin(&keys[filled(i)], key);
-            }
-            for (var i = filled_to; i < j1; i++) {
-                atomicMin(&keys[sample(i)], key);
-            }
-            j1 = filled_from;
+        if (open.y) {
+            atomicMin(&keys[select(sample(j.y), filled(j.y), whole.y)], key.y);
         }
-    }
-    for (; j < j1; j++) {
-        atomicMin(&keys[sample(j)], key);
+        j += select(vec2(1), vec2(BLOCK), whole);
     }
 }
 
@@ -689,7 +689,11 @@ fn show_key(j: i32, key: u32, epoch: i32) {
 }
 
 @compute @workgroup_size(WIDTH)
-fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) grid: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) grid: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
     let index = group.y * grid.x + group.x;
     if (index >= frame.n_planes) {
         return;

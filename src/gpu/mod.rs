@@ -70,8 +70,8 @@ pub struct GpuOptions {
     pub kernel: Kernel,
     /// Leaves out wgpu's runtime checks of the shaders. Scenes are validated before they become a [`Resident`].
     pub trusted: bool,
-    /// Lanes of a workgroup: 32, 64, 128 or 256 for `workgroup`, a power of two up to 64 for `invocation`; `None` for the
-    /// kernel's own.
+    /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
+    /// for the kernel's own.
     pub lanes: Option<u32>,
     /// Frames that may be on their way at once between [`GpuRenderer::submit`] and [`GpuRenderer::collect`].
     pub in_flight: usize,
@@ -173,11 +173,12 @@ impl<'a> GpuRenderer<'a> {
     /// so.
     pub fn new(scene: &'a Scene, resident: &'a Resident, options: GpuOptions) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
-            let allowed: &[u32] =
-                if options.kernel == Kernel::Invocation { &[1, 2, 4, 8, 16, 32, 64] } else { &[32, 64, 128, 256] };
-            if !allowed.contains(&lanes) {
+            let invocation = options.kernel == Kernel::Invocation;
+            let fits = if invocation { lanes.is_power_of_two() && lanes <= 64 } else { lanes % 32 == 0 && lanes <= 256 };
+            if lanes == 0 || !fits {
+                let allowed = if invocation { "a power of two up to 64" } else { "a multiple of 32 up to 256" };
                 return Err(Error::Argument(format!(
-                    "{lanes} lanes a workgroup: kernel {} takes {allowed:?}",
+                    "{lanes} lanes a workgroup: kernel {} takes {allowed}",
                     options.kernel.name()
                 )));
             }
