@@ -3,13 +3,16 @@
 //! `cargo bench --bench gpu` runs criterion over one pose a scene. `cargo bench --bench gpu -- --table [rocks|mixing …]` flies
 //! through whole worlds with every kernel and prints medians with work counters beside them (`PLANECAST_BENCH_SIZE`,
 //! `PLANECAST_BENCH_POSES` and `PLANECAST_BENCH_PIXELS=WxH` change the columns a side, the poses and the picture). Neither
-//! counts the host's plane setup, the upload or the read-back.
+//! counts the host's plane setup, the upload or the read-back. Where a name is that of a file (any that `encode` reads), the
+//! flight is a stroll over the ground at level 0, not repeated: [`stroll`]. `--film` counts frames a second with their
+//! read-back, one at a time and several on their way.
 
 use criterion::{BenchmarkId, Criterion};
-use planecast::gpu::bench::{Entry, flythrough, poses};
+use planecast::gpu::bench::{Entry, film, flythrough, poses, stroll};
 use planecast::{Camera, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes};
-use planecast_encoder::source::procedural::from_name;
+use planecast_encoder::source;
 use planecast_encoder::{BuildOptions, Scene, build};
+use std::path::Path;
 use std::time::Duration;
 
 fn setting<T: std::str::FromStr>(name: &str, default: T) -> T {
@@ -17,16 +20,27 @@ fn setting<T: std::str::FromStr>(name: &str, default: T) -> T {
 }
 
 fn scene(name: &str, size: u32) -> (Scene, Resident) {
-    let name = if name.contains('?') { name.into() } else { format!("{name}?size={size}") };
-    let input = from_name(&name).expect("a procedural scene");
+    let name = match name {
+        _ if is_file(name) => name.into(),
+        _ if name.contains('?') => format!("procedural:{name}"),
+        _ => format!("procedural:{name}?size={size}"),
+    };
+    let input = source::open(Path::new(&name), &source::ReadOptions::default()).expect("a scene");
     let scene = build(input, &BuildOptions::default()).expect("a scene");
     let resident = Resident::new(&scene);
     (scene, resident)
 }
 
+fn is_file(name: &str) -> bool {
+    Path::new(name).extension().is_some()
+}
+
 /// The paper's view: repeated without end, 40,000 voxels far, levels at one pixel.
-fn options() -> Options {
+fn options(name: &str) -> Options {
     let planes = Planes::Factor(setting("PLANECAST_BENCH_PLANES", 1.0));
+    if is_file(name) {
+        return Options { lod: None, planes, ..Options::default() };
+    }
     Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, planes, ..Options::default() }
 }
 
@@ -45,20 +59,37 @@ fn entry(text: &str) -> Entry {
     }
 }
 
+fn pixels() -> (u32, u32) {
+    let pixels = std::env::var("PLANECAST_BENCH_PIXELS").unwrap_or("1024x768".into());
+    let (w, h) = pixels.split_once('x').expect("WxH");
+    (w.parse().expect("a width"), h.parse().expect("a height"))
+}
+
+fn films(names: &[String]) {
+    let (w, h) = pixels();
+    for name in names {
+        let (scene, resident) = scene(name, setting("PLANECAST_BENCH_SIZE", 1024));
+        let poses = poses(&resident, setting("PLANECAST_BENCH_POSES", 120), w, h);
+        for in_flight in [1, 2, 3, 4] {
+            let rate = film(&scene, &resident, &poses, &options(name), in_flight).expect("a film");
+            println!("{name}: {w} × {h}, {in_flight} on their way: {rate:.0} frames a second");
+        }
+    }
+}
+
 fn table(names: &[String]) {
     let size = setting("PLANECAST_BENCH_SIZE", 1024);
     let n = setting("PLANECAST_BENCH_POSES", 120);
-    let pixels = std::env::var("PLANECAST_BENCH_PIXELS").unwrap_or("1024x768".into());
-    let (w, h) = pixels.split_once('x').expect("WxH");
-    let (w, h) = (w.parse().expect("a width"), h.parse().expect("a height"));
+    let (w, h) = pixels();
     let kernels = std::env::var("PLANECAST_BENCH_KERNELS").unwrap_or(KERNELS.into());
     let entries: Vec<Entry> = kernels.split_whitespace().map(entry).collect();
     let pitches = std::env::var("PLANECAST_BENCH_PITCHES").unwrap_or_default();
     let pitches: Vec<f64> = pitches.split_whitespace().map(|p| p.parse().expect("degrees")).collect();
     for name in names {
         let (scene, resident) = scene(name, size);
-        let poses = poses(&resident, n, w, h);
-        let fly = |what: &str, poses: &[Camera]| match flythrough(&scene, &resident, poses, &options(), &entries) {
+        let poses = if is_file(name) { stroll(&resident, w, h) } else { poses(&resident, n, w, h) };
+        let options = options(name);
+        let fly = |what: &str, poses: &[Camera]| match flythrough(&scene, &resident, poses, &options, &entries) {
             Ok(table) => println!("{name}{what}: {table}"),
             Err(e) => println!("{name}{what}: {e}"),
         };
@@ -89,7 +120,7 @@ fn stages(c: &mut Criterion) {
                     b.iter_custom(|n| {
                         let mut total = Duration::ZERO;
                         for _ in 0..n {
-                            let frame = gpu.render(&camera, &options(), Outputs::default()).expect("a frame");
+                            let frame = gpu.render(&camera, &options(name), Outputs::default()).expect("a frame");
                             total += Duration::from_secs_f64(time(&frame.stats.gpu_ms.expect("times")) * 1e-3);
                         }
                         total
@@ -108,12 +139,14 @@ fn stages(c: &mut Criterion) {
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
-    if let Some(at) = arguments.iter().position(|a| a == "--table") {
-        let mut names = arguments[at + 1..].to_vec();
-        if names.is_empty() {
-            names = vec!["rocks".into(), "mixing".into()];
+    for (flag, run) in [("--table", table as fn(&[String])), ("--film", films)] {
+        if let Some(at) = arguments.iter().position(|a| a == flag) {
+            let mut names = arguments[at + 1..].to_vec();
+            if names.is_empty() {
+                names = vec!["rocks".into(), "mixing".into()];
+            }
+            return run(&names);
         }
-        return table(&names);
     }
     let mut criterion = Criterion::default().configure_from_args();
     stages(&mut criterion);

@@ -480,7 +480,7 @@ impl FlyArgs {
             }),
             stop: stop_on_ctrl_c(),
         };
-        let draw = &mut |camera: &Camera| renderer.draw(camera, &options, Outputs::default(), &mut tell);
+        let draw = &mut |cameras: &[Camera]| renderer.draw_first(cameras, &options, Outputs::default(), &mut tell);
         let outcome = fly::fly(&film, draw)?;
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
             output::write(file, |out| output::json(out, stats))?.finish()?;

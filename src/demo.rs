@@ -65,6 +65,6 @@ pub fn demo(folder: &Path) -> Result<()> {
     let stop = AtomicBool::new(false);
     let (film_output, source) = (&film, Value::String("demo".into()));
     let plan = Film { output: film_output, cameras: &cameras, fps: FPS, resume: false, source, stop: &stop };
-    fly::fly(&plan, &mut |camera| renderer.render(camera, &options, Outputs::default()))?;
+    fly::fly(&plan, &mut |cameras| renderer.render(&cameras[0], &options, Outputs::default()))?;
     tell(format!("{}: {FRAMES} frames of {} x {} pixels", film.display(), FILM[0], FILM[1]))
 }

@@ -9,6 +9,8 @@ use crate::options::Options;
 use crate::renderer::{CpuRenderer, Outputs};
 use crate::resident::Resident;
 use planecast_encoder::Scene;
+#[cfg(feature = "gpu")]
+use std::collections::VecDeque;
 
 /// What was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -27,6 +29,8 @@ pub struct Renderer<'a> {
     /// What replaces a GPU that fails; `None` where it was asked for by name.
     #[cfg(feature = "gpu")]
     fall_back: Option<(&'a Scene, &'a Resident)>,
+    #[cfg(feature = "gpu")]
+    ahead: Ahead,
 }
 
 enum Backend<'a> {
@@ -75,6 +79,8 @@ impl<'a> Renderer<'a> {
             backend,
             #[cfg(feature = "gpu")]
             fall_back: (device == Device::Auto).then_some((scene, resident)),
+            #[cfg(feature = "gpu")]
+            ahead: Ahead::new(),
         };
         #[cfg(feature = "gpu")]
         if let (Backend::Gpu(gpu), Device::Auto) = (&renderer.backend, device) {
@@ -91,13 +97,25 @@ impl<'a> Renderer<'a> {
         outputs: Outputs,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Frame> {
+        self.draw_first(std::slice::from_ref(camera), options, outputs, tell)
+    }
+
+    /// Draws the first of some frames. The GPU goes on to those that follow meanwhile: the next call should ask for them.
+    pub fn draw_first(
+        &mut self,
+        cameras: &[Camera],
+        options: &Options,
+        outputs: Outputs,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<Frame> {
+        let camera = &cameras[0];
         #[cfg(not(feature = "gpu"))]
         let _ = tell;
         match &mut self.backend {
             Backend::Planes(cpu) => cpu.render(camera, options, outputs),
             Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
             #[cfg(feature = "gpu")]
-            Backend::Gpu(gpu) => match gpu.render(camera, options, outputs) {
+            Backend::Gpu(gpu) => match draw_ahead(gpu, &mut self.ahead, cameras, options, outputs) {
                 Err(e @ (Error::Device(_) | Error::Limit(_))) => {
                     let Some((scene, resident)) = self.fall_back else { return Err(e) };
                     tell(&format!("going on with the cpu: {e}"));
@@ -137,6 +155,39 @@ impl<'a> Renderer<'a> {
             Backend::Gpu(_) => "gpu",
         }
     }
+}
+
+/// Frames on their way, in the order in which they were submitted.
+#[cfg(feature = "gpu")]
+type Ahead = VecDeque<(Camera, Options, Outputs)>;
+
+#[cfg(feature = "gpu")]
+fn draw_ahead(
+    gpu: &mut GpuRenderer<'_>,
+    ahead: &mut Ahead,
+    cameras: &[Camera],
+    options: &Options,
+    outputs: Outputs,
+) -> Result<Frame> {
+    let job = |camera: &Camera| (*camera, *options, outputs);
+    if ahead.len() > cameras.len() || ahead.iter().zip(cameras).any(|(sent, camera)| *sent != job(camera)) {
+        // Nobody asks for these any more.
+        while gpu.collect().is_some() {}
+        ahead.clear();
+    }
+    for camera in &cameras[ahead.len()..] {
+        if gpu.is_full() {
+            break;
+        }
+        match gpu.submit(camera, options, outputs) {
+            Ok(()) => ahead.push_back(job(camera)),
+            Err(e) if ahead.is_empty() => return Err(e),
+            // It will be asked for once more when its turn comes.
+            Err(_) => break,
+        }
+    }
+    ahead.pop_front();
+    gpu.collect().expect("the first frame was submitted")
 }
 
 /// The GPU; with `real_only`, none that a processor plays.

@@ -83,8 +83,9 @@ enum Work {
     Segment(Vec<Yuv>),
 }
 
-/// Draws and saves a film. Stopped, it leaves a whole film of the frames up to there, and can be resumed.
-pub fn fly(film: &Film, draw: &mut dyn FnMut(&Camera) -> Result<Frame>) -> Result<Outcome> {
+/// Draws and saves a film. Stopped, it leaves a whole film of the frames up to there, and can be resumed. `draw` gets the
+/// cameras of all frames that are left and draws the first.
+pub fn fly(film: &Film, draw: &mut dyn FnMut(&[Camera]) -> Result<Frame>) -> Result<Outcome> {
     let kind = Kind::of(film.output)?;
     let total = film.cameras.len();
     let [width, height] = [film.cameras[0].width, film.cameras[0].height];
@@ -162,13 +163,17 @@ pub fn fly(film: &Film, draw: &mut dyn FnMut(&Camera) -> Result<Frame>) -> Resul
                 }
             });
         }
+        let cameras: Vec<Camera> = missing.iter().flat_map(|&i| parts[i]).copied().collect();
+        let mut left = &cameras[..];
         for &i in &missing {
             let mut pictures = Vec::new();
-            for camera in parts[i] {
+            for _ in parts[i] {
                 if halted() {
                     break;
                 }
-                match draw(camera) {
+                let drawn = draw(left);
+                left = &left[1..];
+                match drawn {
                     Ok(mut frame) => {
                         stats = Some(std::mem::take(&mut frame.stats));
                         match kind {
@@ -385,10 +390,10 @@ mod tests {
             let mut drawn = 0;
             let source = self.source.clone();
             let film = Film { output, cameras: &self.cameras, fps: 25.0, resume: self.resume, source, stop: &stop };
-            let outcome = fly(&film, &mut |camera| {
+            let outcome = fly(&film, &mut |cameras| {
                 drawn += 1;
                 stop.store(drawn >= self.stop_after, Ordering::Relaxed);
-                Ok(picture(camera))
+                Ok(picture(&cameras[0]))
             });
             (outcome, drawn)
         }
@@ -453,7 +458,7 @@ mod tests {
         let out = dir.path().join("film");
         let (stop, cameras) = (AtomicBool::new(false), cameras(9));
         let film = Film { output: &out, cameras: &cameras, fps: 25.0, resume: false, source: Value::Null, stop: &stop };
-        let error = fly(&film, &mut |c| match c.eye.x {
+        let error = fly(&film, &mut |c| match c[0].eye.x {
             1.0 => Err(Error::Limit("too far".into())),
             _ => Ok(picture(c)),
         });

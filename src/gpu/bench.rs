@@ -75,6 +75,51 @@ pub fn poses(resident: &Resident, n: usize, width: u32, height: u32) -> Vec<Came
     (0..n).map(pose).collect()
 }
 
+/// A stroll over a map's ground: 8 places, 8 directions each, eyes 10 to 20 voxels above the ground, 48 level and 16 looking
+/// 30 degrees down, 90 degrees wide.
+pub fn stroll(resident: &Resident, width: u32, height: u32) -> Vec<Camera> {
+    let level = &resident.levels[0];
+    let (nx, nz) = (level.nx, level.nz);
+    let fov = 2.0 * (f64::from(height) / f64::from(width)).atan().to_degrees();
+    let pose = |i: u32| {
+        let (place, turn) = (i / 8, i % 8);
+        let (x, z) = (nx * (1 + place % 4 * 2) / 8, nz * (1 + place / 4 * 2) / 4);
+        let ground = level.column((z * nx + x) as usize).next().map_or(0, |run| run.end());
+        let y = f64::from(ground + 10 + 10 * place / 7);
+        let pitch = if turn % 4 == 3 { -30.0 } else { 0.0 };
+        let eye = glam::DVec3::new(f64::from(x) + 0.5, y, f64::from(z) + 0.5);
+        Camera { eye, yaw: 45.0 * f64::from(turn) + 20.0, pitch, roll: 0.0, fov, width, height }
+    };
+    (0..64).map(pose).collect()
+}
+
+/// Frames a second over all `poses`, read back, with as many on their way as is said.
+pub fn film(
+    scene: &Scene,
+    resident: &Resident,
+    poses: &[Camera],
+    options: &Options,
+    in_flight: usize,
+) -> Result<f64> {
+    let mut gpu = GpuRenderer::new(scene, resident, GpuOptions { in_flight, ..GpuOptions::default() })?;
+    let mut round = || -> Result<Duration> {
+        let start = Instant::now();
+        for camera in poses {
+            if gpu.is_full() {
+                gpu.collect().expect("frames are on their way")?;
+            }
+            gpu.submit(camera, options, Outputs::default())?;
+        }
+        while let Some(frame) = gpu.collect() {
+            frame?;
+        }
+        Ok(start.elapsed())
+    };
+    // Shaders are compiled and buffers made in the first.
+    round()?;
+    Ok(poses.len() as f64 / round()?.as_secs_f64())
+}
+
 fn spread(mut v: Vec<f64>) -> Spread {
     v.sort_by(f64::total_cmp);
     match v[..] {

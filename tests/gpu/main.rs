@@ -8,6 +8,7 @@ use compare::{Difference, compare};
 use glam::DVec3;
 use planecast::cpu::shade::{ShadeParams, shade};
 use planecast::cpu::traverse::{PlaneBuffer, traverse};
+use planecast::device::{Device, Renderer};
 use planecast::gpu::Begin;
 use planecast::plane_setup::plane_setup;
 use planecast::{
@@ -433,6 +434,30 @@ fn frames_in_flight_come_back_in_order() {
         assert!((&a.color, &a.depth, &a.voxel) == (&b.color, &b.depth, &b.voxel));
     }
     assert!(alone[2].depth.iter().all(|&z| z == 0.0) && alone[2].stats.kernel == "inside");
+}
+
+#[test]
+fn frames_drawn_ahead_are_those_asked_for() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let cameras = poses(&world);
+    let mut tell = |text: &str| panic!("{text}");
+    let mut renderer = Renderer::new(&world.scene, &world.resident, Device::Gpu, None, &mut tell).unwrap();
+    let mut draw = |cameras: &[Camera], options: &Options| {
+        renderer.draw_first(cameras, options, Outputs::default(), &mut tell).unwrap().color
+    };
+    let alone: Vec<_> = cameras.iter().map(|c| draw(&[*c], &flat())).collect();
+    for (i, expected) in alone.iter().enumerate() {
+        assert!(draw(&cameras[i..], &flat()) == *expected, "frame {i}");
+    }
+    // Frames on their way that nobody asks for, other options, and a film that ends early.
+    draw(&cameras, &flat());
+    assert!(draw(&cameras[4..], &flat()) == alone[4]);
+    assert!(draw(&cameras[1..], &Options::default()) != alone[1]);
+    assert!(draw(&cameras[6..], &flat()) == alone[6]);
+    assert!(draw(&cameras[..1], &flat()) == alone[0]);
 }
 
 #[test]
