@@ -53,9 +53,13 @@ pub mod frame;
 pub mod gpu;
 pub mod options;
 pub mod output;
+#[cfg(feature = "report")]
+pub mod page;
 pub mod path;
 pub mod pick;
 pub mod plane_setup;
+#[cfg(feature = "report")]
+pub mod plot;
 pub mod renderer;
 pub mod resident;
 pub mod tour;
