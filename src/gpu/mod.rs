@@ -220,6 +220,16 @@ impl<'a> GpuRenderer<'a> {
         (&self.engine.name, &self.engine.driver)
     }
 
+    /// What it draws.
+    pub fn draws(&self) -> (&'a Scene, &'a Resident) {
+        (self.scene, self.resident)
+    }
+
+    /// Gives the device up at once, with all its memory. Later frames are an [`Error::Device`], as after a device is lost.
+    pub fn destroy(&self) {
+        self.engine.device.destroy();
+    }
+
     /// Whether the adapter is a processor that plays GPU: the CPU's own stages are faster then.
     pub fn is_software(&self) -> bool {
         self.engine.software

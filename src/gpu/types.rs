@@ -361,12 +361,14 @@ mod tests {
         let mut sorted = turns.clone();
         sorted.sort();
         assert!(sorted.into_iter().eq(0..setup.planes.len()));
-        let horizon = |&p: &usize| {
+        // How far a plane sees over ground that lies 70 voxels below the eye.
+        let sees = |&p: &usize| {
             let p = &setup.planes[p];
-            f64::from(p.end) * p.c > p.a
+            let (t, h) = (p.b - f64::from(p.end) * p.e, f64::from(p.end) * p.c - p.a);
+            if h < 0.0 { -70.0 * t / h } else { f64::INFINITY }
         };
-        let n = turns.iter().filter(|p| horizon(p)).count();
-        assert!(n > 10 && n < turns.len() - 10, "{n} of {}", turns.len());
-        assert!(turns[..n].iter().all(horizon));
+        let far = turns.iter().rposition(|p| sees(p) > 9000.0).unwrap();
+        let near = turns.iter().position(|p| sees(p) < 4000.0).unwrap();
+        assert!(far > 10 && near < turns.len() - 10 && far < near, "{far} {near} of {}", turns.len());
     }
 }
