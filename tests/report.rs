@@ -79,7 +79,11 @@ impl Study {
     }
 
     /// Rows without a fault and with one.
-    fn compared(&self, config: &'static str, fault: impl Fn(&Config, &Camera, &mut Drawer<'_>, Frame) -> Frame) -> [Row; 2] {
+    fn compared(
+        &self,
+        config: &'static str,
+        fault: impl Fn(&Config, &Camera, &mut Drawer<'_>, Frame) -> Frame,
+    ) -> [Row; 2] {
         let frames = Cell::new(0);
         let row = |draw: &mut dyn Draw| {
             let folder = tempfile::tempdir().unwrap();
@@ -107,7 +111,9 @@ fn report_shows_a_renderer_shifted_by_one_pixel() {
     // Within one pixel it is right, but for the column that came round.
     assert!(shifted.mean(|e| e.errors.other_near) < 2.5, "{}", shifted.mean(|e| e.errors.other_near));
     assert!(shifted.flip() > 1.1 * sound.flip(), "{} {}", sound.flip(), shifted.flip());
-    assert!(shifted.psnr() < sound.psnr() - 0.5 && shifted.mean(|e| e.errors.ssim) < sound.mean(|e| e.errors.ssim) - 0.02);
+    assert!(
+        shifted.psnr() < sound.psnr() - 0.5 && shifted.mean(|e| e.errors.ssim) < sound.mean(|e| e.errors.ssim) - 0.02
+    );
     let p99 = |row: &Row| row.mean(|e| e.errors.depth[1]);
     assert!(p99(&shifted) > p99(&sound) + 0.5, "{} {}", p99(&sound), p99(&shifted));
 }
@@ -145,7 +151,15 @@ fn report_counts_holes_before_and_after_gap_fill() {
     let study = Study::new(hills(common::MEDIUM), &["exact", "planes 25 %", "planes 25 %, gaps open", "default"]);
     let (frames, folder) = (Cell::new(0), tempfile::tempdir().unwrap());
     let rows = study.rows(&mut study.drawer(&frames, "", |_, _, _, frame| frame), folder.path());
-    let holes = |name: &str| rows.iter().find(|r| r.config.name == name).unwrap().errors.iter().map(|e| e.holes).fold([0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    let holes = |name: &str| {
+        rows.iter()
+            .find(|r| r.config.name == name)
+            .unwrap()
+            .errors
+            .iter()
+            .map(|e| e.holes)
+            .fold([0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
+    };
     let [before, after] = holes("planes 25 %");
     assert!(before > 1000 && after == 0, "{before} {after}");
     assert_eq!(holes("planes 25 %, gaps open"), [before; 2]);
@@ -161,7 +175,8 @@ fn report_goes_on_where_it_was_stopped() {
     let all = frames.replace(0);
     // Stopped among the errors, then among the times.
     for most in [7, 25] {
-        let mut draw = Faulty { most, ..study.drawer(&frames, "", |_: &Config, _: &Camera, _: &mut Drawer<'_>, frame| frame) };
+        let mut draw =
+            Faulty { most, ..study.drawer(&frames, "", |_: &Config, _: &Camera, _: &mut Drawer<'_>, frame| frame) };
         let mut journal = Journal::open(folder.path()).unwrap();
         let stopped = study.plan().run(&mut draw, &mut journal, &mut |_| {});
         assert_eq!(stopped.unwrap_err().to_string(), "stopped");
@@ -197,7 +212,8 @@ fn report_of_another_scene_is_measured_anew() {
 fn report_levels_by_the_files_own_rule_are_the_files_own() {
     for world in [hills(common::MEDIUM), common::odd(), common::bare()] {
         let again = run::World::with_rule(&world.scene, world.scene.mip_rule).unwrap();
-        let geometry = |scene: &planecast_encoder::Scene| -> Vec<_> { scene.levels.iter().map(|l| l.solid.clone()).collect() };
+        let geometry =
+            |scene: &planecast_encoder::Scene| -> Vec<_> { scene.levels.iter().map(|l| l.solid.clone()).collect() };
         assert_eq!(geometry(&again.scene), geometry(&world.scene), "{}", world.name);
         assert_eq!(again.scene.levels[0].colors, world.scene.levels[0].colors, "{}", world.name);
         let other = run::World::with_rule(&world.scene, MipRule::Majority).unwrap();
@@ -234,7 +250,7 @@ fn report_leaves_every_file_and_refuses_another_folder() {
     let world = hills([64, 32, 64]);
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("hills.pcast");
-    planecast_encoder::write::write(&world.scene, &scene).unwrap();
+    planecast_encoder::write::write_scene(&world.scene, &scene).unwrap();
     let folder = dir.path().join("report");
     let job = Job {
         folder: &folder,
@@ -251,7 +267,10 @@ fn report_leaves_every_file_and_refuses_another_folder() {
     let mut told = Vec::new();
     let choice = planecast::report::report(&scene, &job, &mut |what| told.push(what.to_owned())).unwrap().unwrap();
     assert!(choice.contains("--device cpu"), "{choice}");
-    assert!(told.iter().any(|t| t.contains("pose 4 of 4")) && told.iter().any(|t| t.contains("round 1 of 1")), "{told:?}");
+    assert!(
+        told.iter().any(|t| t.contains("pose 4 of 4")) && told.iter().any(|t| t.contains("round 1 of 1")),
+        "{told:?}"
+    );
     let read = |name: &str| std::fs::read(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     let page = String::from_utf8(read("report.html")).unwrap();
     let json: serde_json::Value = serde_json::from_slice(&read("report.json")).unwrap();

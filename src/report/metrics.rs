@@ -30,6 +30,8 @@ pub struct Errors {
     pub ssim: f64,
     /// Mean of FLIP, 0 for equal pictures to 1 (Andersson et al. 2020).
     pub flip: f64,
+    /// The same against the truth with one ray a pixel: without the error of aliasing.
+    pub flip_exact: f64,
 }
 
 impl Errors {
@@ -46,6 +48,7 @@ pub struct Truth {
     /// Several rays a pixel, averaged in linear light.
     pub color: Vec<[u8; 4]>,
     flip: FlipImage,
+    flip_exact: FlipImage,
 }
 
 impl Truth {
@@ -59,14 +62,15 @@ impl Truth {
             let part = (0..n * n).map(|k| linear(supersampled.color[(y + k / n) * wide + x + k % n]));
             *color = srgb(part.sum::<Vec3>() / (n * n) as f32);
         }
-        let flip = FlipImage::new(&color, w);
-        Truth { frame, color, flip }
+        let [flip, flip_exact] = [&color, &frame.color].map(|c| FlipImage::new(c, w));
+        Truth { frame, color, flip, flip_exact }
     }
 
     /// Compares a frame of the same size, with voxels.
     pub fn errors(&self, frame: &Frame) -> Errors {
         let agreement = compare(frame, &self.frame);
         let n = agreement.pixels as f64;
+        let image = FlipImage::new(&frame.color, frame.width as usize);
         let missing = |agreeing: usize| 100.0 * (n - agreeing as f64) / n;
         let (mut depth, mut relative): (Vec<f64>, Vec<f64>) = (frame.depth.iter().zip(&self.frame.depth))
             .filter(|(d, t)| d.is_finite() && t.is_finite())
@@ -86,7 +90,8 @@ impl Truth {
             depth_relative: spread(&mut relative),
             mse: mse(&frame.color, &self.color),
             ssim: ssim(&frame.color, &self.color, frame.width as usize),
-            flip: mean(&self.flip(&frame.color)),
+            flip: mean(&flip(&image, &self.flip)),
+            flip_exact: mean(&flip(&image, &self.flip_exact)),
         }
     }
 

@@ -1,6 +1,6 @@
 //! Measuring: errors of each configuration at each pose, then their times, in turn.
 
-use super::journal::{Entry, ErrorFigures, Figures, Journal};
+use super::journal::{self, ErrorFigures, Figures, Journal};
 use super::metrics::Truth;
 use super::poses::Named;
 use super::sweep::{Backend, Config};
@@ -14,6 +14,7 @@ use crate::renderer::{CpuRenderer, Outputs};
 use crate::resident::Resident;
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, MipRule, Scene, build};
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::time::Instant;
 
 /// Rays a pixel of the truth's colour along each axis.
@@ -110,12 +111,13 @@ impl Draw for Drawer<'_> {
             }
             Backend::Gpu(kernel) => {
                 let world = if other { self.other } else { self.file };
-                if !self.gpu.contains_key(&(kernel, other)) {
-                    let renderer =
-                        Renderer::new(&world.scene, &world.resident, Device::Gpu, Some(kernel), &mut |_| {})?;
-                    self.gpu.insert((kernel, other), renderer);
-                }
-                let renderer = self.gpu.get_mut(&(kernel, other)).expect("just opened");
+                let renderer = match self.gpu.entry((kernel, other)) {
+                    Entry::Occupied(entry) => entry.into_mut(),
+                    Entry::Vacant(entry) => {
+                        let (scene, resident) = (&world.scene, &world.resident);
+                        entry.insert(Renderer::new(scene, resident, Device::Gpu, Some(kernel), &mut |_| {})?)
+                    }
+                };
                 renderer.draw(camera, &config.options, outputs, &mut |_| {})
             }
         }
@@ -265,8 +267,8 @@ impl Plan<'_> {
         Ok(())
     }
 
-    fn entry(&self, config: &Config, pose: &Named, figures: Figures) -> Entry {
-        Entry { key: self.key(config, pose), config: config.name.clone(), pose: pose.name.clone(), figures }
+    fn entry(&self, config: &Config, pose: &Named, figures: Figures) -> journal::Entry {
+        journal::Entry { key: self.key(config, pose), config: config.name.clone(), pose: pose.name.clone(), figures }
     }
 
     /// All measurements of all configurations.
