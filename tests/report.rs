@@ -107,9 +107,10 @@ fn report_shows_a_renderer_shifted_by_one_pixel() {
         }
         frame
     });
-    assert!(sound.other() < 1.5 && shifted.other() > 5.0, "{} {}", sound.other(), shifted.other());
+    assert!(sound.other() < 5.0 && shifted.other() > 30.0, "{} {}", sound.other(), shifted.other());
     // Within one pixel it is right, but for the column that came round.
-    assert!(shifted.mean(|e| e.errors.other_near) < 2.5, "{}", shifted.mean(|e| e.errors.other_near));
+    let near = |row: &Row| row.mean(|e| e.errors.other_near);
+    assert!(near(&shifted) < near(&sound) + 4.0, "{} {}", near(&sound), near(&shifted));
     assert!(shifted.flip() > 1.1 * sound.flip(), "{} {}", sound.flip(), shifted.flip());
     assert!(
         shifted.psnr() < sound.psnr() - 0.5 && shifted.mean(|e| e.errors.ssim) < sound.mean(|e| e.errors.ssim) - 0.02

@@ -1,6 +1,7 @@
 //! How far two frames agree.
 
 use planecast::Frame;
+#[allow(unused_imports, reason = "each test binary uses a part")]
 pub use planecast::compare::{Agreement, compare};
 
 const SKY: [i32; 4] = [-1; 4];
