@@ -86,7 +86,7 @@ pub fn run(settings: &Settings, tell: &mut dyn FnMut(&str)) -> Result<()> {
         ("graphics".to_owned(), gpu),
         ("planecast".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         ("system".to_owned(), format!("{} {}", std::env::consts::OS, std::env::consts::ARCH)),
-        ("extent".to_owned(), format!("{:?}", settings.extent)),
+        ("extent".to_owned(), settings.extent.name()),
     ];
     let head = serde_json::json!({ "about": about, "files": settings.files });
     let mut journal = Journal::open(&settings.output.join("journal.jsonl"), &head)?;

@@ -79,6 +79,17 @@ impl Extent {
         cpu: Rounds { least: 2, most: 3, budget_ms: 300.0 },
         gpu: Rounds { least: 3, most: 9, budget_ms: 300.0 },
     };
+
+    /// As records name it.
+    pub fn name(&self) -> String {
+        if *self == Extent::FULL {
+            "full".into()
+        } else if *self == Extent::QUICK {
+            "quick".into()
+        } else {
+            format!("{self:?}")
+        }
+    }
 }
 
 /// What there is to draw with.
@@ -311,7 +322,7 @@ impl Plan<'_> {
                 [("the papers' culling", paper::culling("F,C,S")), ("all culling", Culling::ALL)].map(
                     |(what, culling)| {
                         let options = Options { culling, repeat: Repeat::default(), ..self.tiled(WORLD) };
-                        self.config(Part::Ieice, scene, View::Tour, engine, options, what)
+                        self.config(Part::Ieice, scene, View::Close, engine, options, what)
                     },
                 )
             });

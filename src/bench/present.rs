@@ -319,6 +319,11 @@ impl Results<'_> {
              equidistantly; on the CPU, bits stand in the cache; frames a second are of stages alone. GPU rows were measured with \
              the kernel that gives a plane to an invocation, as the paper does, and all rows with all threads of the CPU.",
         );
+        if !self.machine.gpu {
+            page.paragraph(
+                "No GPU was measured in this run: beside the paper's GPU stand this machine's CPU rows alone.",
+            );
+        }
         let columns = [
             "dataset",
             "optim.",
@@ -510,7 +515,8 @@ impl Results<'_> {
             "An RLE element is a run here. Whether the paper counts those of all levels is not stated: both are given. Bits a voxel \
              are of the scene's file by surface voxels of level 0: geometry with column tables of level 0, and everything (all \
              levels, 24-bit colours, tables). Fewer elements a second at more frames a second means that more was culled before it \
-             was looked at. Views are eight places of each scene's tour; those of the paper are not known.",
+             was looked at. Views are from eight sides of each scene, alone; those of the \
+             paper are not known.",
         );
         let columns = [
             "scene",

@@ -1,7 +1,6 @@
 //! The scenes that are measured, made on the spot and kept in the run's folder, and the views of them.
 
-use crate::tour::{self, View as Sight};
-use crate::{Camera, Repeat, Resident, Result};
+use crate::{Camera, Resident, Result};
 use glam::DVec3;
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Encoding, Error as FileError, PcastFile, Scene};
@@ -148,8 +147,8 @@ pub enum View {
     Copies,
     /// From above the middle, straight down, turned in four steps.
     Down,
-    /// Eight places of the scene's own tour.
-    Tour,
+    /// From eight sides, so close that a scene as high as wide fills the picture.
+    Close,
     /// Level, 20° and 60° down from above the ground.
     Pitches,
 }
@@ -168,7 +167,7 @@ impl View {
             View::Over => "8 yaws over the layer",
             View::Copies => "400 copies from above",
             View::Down => "straight down",
-            View::Tour => "8 places of the tour",
+            View::Close => "8 sides, close",
             View::Pitches => "level, 20° and 60° down",
         }
     }
@@ -198,9 +197,16 @@ impl View {
                 vec![at(0.5, top + 2.5 * side, 0.5, 10.0, -25.0), at(0.5, top + 2.5 * side, 0.5, 55.0, -25.0)]
             }
             View::Down => (0..4).map(|i| at(0.5, top + 0.5 * side, 0.5, 22.5 * f64::from(i), -90.0)).collect(),
-            View::Tour => {
-                let sight = Sight { fov: FOV, size: [width, height], repeat: Repeat::default() };
-                tour::tour(&loaded.scene, sight).poses(9)[..8].iter().map(|p| p.camera([width, height])).collect()
+            View::Close => {
+                let (away, over) = (0.8 * side, 0.05 * top + 0.35 * side);
+                (0..8)
+                    .map(|i| {
+                        let yaw = 45.0 * f64::from(i) + 10.0;
+                        let (sin, cos) = yaw.to_radians().sin_cos();
+                        let (x, z) = (0.5 - away / nx * sin, 0.5 + away / nz * cos);
+                        at(x, 0.45 * top + over, z, yaw, -over.atan2(away).to_degrees())
+                    })
+                    .collect()
             }
             View::Pitches => {
                 let y = top + 0.05 * side;

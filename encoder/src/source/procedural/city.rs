@@ -86,10 +86,16 @@ impl City {
         let edge = house.inward[0].min(house.inward[1]);
         if y >= top {
             if house.pitched {
-                // Hollow, rising from both sides of the shorter way.
+                // Rising from two sides, hollow.
                 let rise = y - top;
-                let on = house.inward[(house.id >> 8 & 1) as usize];
-                return if rise == on || rise == on + 1 { Part::Roof } else { Part::Air };
+                let way = (house.id >> 8 & 1) as usize;
+                let (on, along) = (house.inward[way], house.inward[1 - way]);
+                return match rise {
+                    _ if rise == on || rise == on + 1 => Part::Roof,
+                    // Gables.
+                    _ if rise < on && along == 0 => Part::Wall,
+                    _ => Part::Air,
+                };
             }
             // A parapet and, on some, a water tank.
             let tank = house.id & 0x300 == 0 && edge > 8 && y < top + 6;

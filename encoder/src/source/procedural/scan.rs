@@ -58,7 +58,7 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
                 }
             }
         }
-        if grain > 0.9995 { 5 } else { 0 }
+        if grain > 0.9999 { 5 } else { 0 }
     };
     let columns = build_rows([size; 3], |z, columns| {
         let mut buffer = Vec::new();
