@@ -109,7 +109,7 @@ mod tests {
         let path = dir.path().join("journal.jsonl");
         let settings = serde_json::json!({"quick": true});
         Journal::open(&path, &settings).unwrap().add([row("a", 1.0)]).unwrap();
-        let refused = |settings| Journal::open(&path, settings).err().expect("refused").to_string();
+        let refused = |settings: &serde_json::Value| Journal::open(&path, settings).err().expect("refused").to_string();
         assert!(refused(&serde_json::json!({"quick": false})).contains("is of another run"));
         let broken = fs::read_to_string(&path).unwrap().replace("\"a\"", "a");
         fs::write(&path, broken).unwrap();

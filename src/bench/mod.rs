@@ -31,6 +31,7 @@ use parts::{Extent, Machine, Part};
 use planecast_encoder::Error as FileError;
 use present::Results;
 use scenes::{Key, Loaded, Name, Scenes, View};
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -114,8 +115,8 @@ pub fn run(settings: &Settings, tell: &mut dyn FnMut(&str)) -> Result<()> {
         say(&format!("{} of {n_todo}: {}, {} lines", i + 1, group.title, group.configs.len()));
         loaded.retain(|key, _| group.configs.iter().any(|c| c.scene == *key));
         for config in &group.configs {
-            if !loaded.contains_key(&config.scene) {
-                loaded.insert(config.scene, scenes.load(&config.scene)?);
+            if let Entry::Vacant(place) = loaded.entry(config.scene) {
+                place.insert(scenes.load(&config.scene)?);
             }
         }
         if group.configs.iter().any(|c| journal.get(&c.key()).is_none()) {

@@ -27,6 +27,15 @@ pub struct Results<'a> {
 /// A plot's file name and content.
 pub type Plot = (&'static str, String);
 
+/// A group of the speed-up part.
+struct SpeedUps<'a> {
+    title: String,
+    rows: Vec<(Config, &'a Row)>,
+    /// Milliseconds of the basic version on one thread, and of all threads with all culling.
+    base: Option<f64>,
+    all: Option<f64>,
+}
+
 fn dataset(encoding: Encoding) -> &'static str {
     match encoding {
         Encoding::Solid => "Full",
@@ -579,8 +588,7 @@ impl Results<'_> {
         Bars { title: "RLE elements a second".into(), value, parts: vec!["rate".into()], rows, stacked: false }.svg()
     }
 
-    /// Groups of the speed-up part: name, rows, and milliseconds of the basic version on one thread.
-    fn speedups(&self) -> Vec<(String, Vec<(Config, &Row)>, Option<f64>, Option<f64>)> {
+    fn speedups(&self) -> Vec<SpeedUps<'_>> {
         let groups = self.part(Part::Speedup).into_iter().map(|(title, rows)| {
             let ms = |engine, basic: bool| {
                 let of = |c: &Config| {
@@ -591,7 +599,7 @@ impl Results<'_> {
             // At level 0 there is no basic version: planes on one thread are the measure.
             let base = ms(self.machine.one(), true).or(ms(self.machine.one(), false));
             let all = ms(self.machine.all(), false);
-            (title, rows, base, all)
+            SpeedUps { title, rows, base, all }
         });
         groups.collect()
     }
@@ -615,7 +623,7 @@ impl Results<'_> {
                 vec!["the papers' scenes".into(), format!("{} (quoted)", q.variant), q.citation, "–".into(), one, all];
             table.rows.push(marked(Mark::Quoted, cells));
         }
-        for (title, rows, base, all) in self.speedups() {
+        for SpeedUps { title, rows, base, all } in self.speedups() {
             for (config, row) in rows {
                 let over =
                     |base: Option<f64>| cell(base.zip(row.total_ms).filter(|(_, ms)| *ms > 0.0).map(|(b, ms)| b / ms));
@@ -638,7 +646,7 @@ impl Results<'_> {
             quoted: true,
             values: vec![paper::GPU_OVER_BASIC],
         }];
-        for (title, group, base, _) in self.speedups() {
+        for SpeedUps { title, rows: group, base, .. } in self.speedups() {
             let title = title.trim_start_matches("speed-up").trim_start_matches([',', ' ']).to_owned();
             for (config, row) in group {
                 let Some((base, ms)) = base.zip(row.total_ms).filter(|(_, ms)| *ms > 0.0) else { continue };

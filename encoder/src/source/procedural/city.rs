@@ -50,7 +50,7 @@ impl City {
         let ((lx, ax), (lz, az)) = (lot(x)?, lot(z)?);
         let id = hash(self.seed, x / BLOCK * 2 + lx, 1, z / BLOCK * 2 + lz);
         // A gap of a column between neighbours, a park in place of every eighth house.
-        if ax == LOT - 1 || az == LOT - 1 || id % 8 == 0 {
+        if ax == LOT - 1 || az == LOT - 1 || id.is_multiple_of(8) {
             return None;
         }
         let most = (self.height * 3 / 4 / STOREY).max(1);
@@ -72,7 +72,7 @@ impl City {
                     let (dx, dz) = ((x % 9) as i32 - 4, (z % 9) as i32 - 4);
                     let flat = dx * dx + dz * dz;
                     let dy = y as i32 - 10;
-                    let planted = hash(self.seed, x / 9, 3, z / 9) % 3 == 0;
+                    let planted = hash(self.seed, x / 9, 3, z / 9).is_multiple_of(3);
                     let crown = flat + dy * dy < 16 && !hash(self.seed, x, y, z).is_multiple_of(4);
                     if planted && (crown || (flat == 0 && y < 10)) { Part::Tree } else { Part::Air }
                 }
