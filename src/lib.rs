@@ -44,6 +44,7 @@
 pub mod bench;
 pub mod camera;
 pub mod cli;
+pub mod compare;
 pub mod cpu;
 pub mod demo;
 pub mod device;
@@ -53,6 +54,8 @@ pub mod fly;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "report")]
+pub mod machine;
 pub mod options;
 pub mod output;
 #[cfg(feature = "report")]
@@ -62,7 +65,10 @@ pub mod pick;
 pub mod plane_setup;
 #[cfg(feature = "report")]
 pub mod plot;
+pub mod preset;
 pub mod renderer;
+#[cfg(feature = "report")]
+pub mod report;
 pub mod resident;
 pub mod tour;
 pub mod video;

@@ -308,6 +308,7 @@ fn chart<'a, 'b>(area: &'b Area<'a>, x: (Coordinate, &str), y: (Coordinate, &str
     let left = left + if y.1.is_empty() { 0 } else { 24 };
     let rows = y.0.names.len();
     let mut chart = ChartBuilder::on(area)
+        .margin_left(10)
         .margin_right(24)
         .margin_top(6)
         .x_label_area_size(44)
@@ -384,7 +385,8 @@ impl Scatter {
             let labels: Vec<&str> = order.iter().map(|&i| &*all[i].1.label).collect();
             let at: Vec<(i32, i32)> = order.iter().map(|&i| places[i]).collect();
             let (right, down) = chart.plotting_area().get_pixel_range();
-            let placed = place_labels(&at, &labels, [right.start, down.start, right.end, down.end]);
+            let bounds = [right.start, down.start, right.end, down.end];
+            let placed = place_labels(&at, &labels, front.len(), bounds);
             let origin = area.get_pixel_range();
             let root = |(x, y): (i32, i32)| (x - origin.0.start, y - origin.1.start);
             for ((&i, label), place) in order.iter().zip(&labels).zip(placed) {
@@ -402,17 +404,23 @@ impl Scatter {
 }
 
 /// Where each label goes (upper left corner, and whether it is far from its point), the first ones first: within
-/// `bounds` (left, top, right, bottom), over no point and no other label. `None` where there is no room.
-fn place_labels(points: &[(i32, i32)], labels: &[&str], bounds: [i32; 4]) -> Vec<Option<((i32, i32), bool)>> {
+/// `bounds` (left, top, right, bottom), over no point and no other label. `None` where there is no room. The first `front`
+/// stand above their points if they can, clear of the line that joins those.
+fn place_labels(
+    points: &[(i32, i32)],
+    labels: &[&str],
+    front: usize,
+    bounds: [i32; 4],
+) -> Vec<Option<((i32, i32), bool)>> {
     let mut taken: Vec<[i32; 4]> = points.iter().map(|&(x, y)| [x - 5, y - 5, x + 5, y + 5]).collect();
     let overlaps = |a: &[i32; 4], b: &[i32; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
     let mut placed = Vec::new();
-    for (&(x, y), label) in points.iter().zip(labels) {
+    for (i, (&(x, y), label)) in points.iter().zip(labels).enumerate() {
         let width = letters(label);
         let corners = (0..5).flat_map(|ring| {
             let far = 10 + 14 * ring;
             let (up, down) = (y - far - TEXT + 4, y + far - 4);
-            let side = [y - TEXT / 2, up, down];
+            let side = if i < front { [up, down, y - TEXT / 2] } else { [y - TEXT / 2, up, down] };
             let beside = side.map(|v| (x + 9 + if ring > 0 { 6 * ring } else { 0 }, v));
             let before = side.map(|v| (x - 9 - width - if ring > 0 { 6 * ring } else { 0 }, v));
             let over = [(x - width / 2, up), (x - width / 2, down)];
@@ -537,7 +545,7 @@ mod tests {
         let points: Vec<(i32, i32)> = (0..30).map(|i| (100 + i * 7 % 90, 100 + i * 13 % 60)).collect();
         let labels: Vec<String> = (0..30).map(|i| format!("configuration {i}")).collect();
         let labels: Vec<&str> = labels.iter().map(String::as_str).collect();
-        let placed = place_labels(&points, &labels, [0, 0, 400, 300]);
+        let placed = place_labels(&points, &labels, 3, [0, 0, 400, 300]);
         let boxes: Vec<[i32; 4]> = (placed.iter().zip(&labels))
             .filter_map(|(p, label)| p.map(|((x, y), _)| [x, y, x + letters(label), y + TEXT]))
             .collect();

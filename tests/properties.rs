@@ -304,6 +304,7 @@ fn any_options() -> impl Strategy<Value = Options> {
             culling: if all { Culling::ALL } else { Culling::NONE },
             shading: Shading::Full,
             fog: readjust.then_some(100.0),
+            ..Options::default()
         },
     )
 }
