@@ -51,9 +51,9 @@ pub enum Command {
     Pick(PickArgs),
     Demo(DemoArgs),
     #[cfg(feature = "report")]
-    Report(ReportArgs),
-    #[cfg(feature = "report")]
     Bench(BenchArgs),
+    #[cfg(feature = "report")]
+    Report(ReportArgs),
 }
 
 /// Draw one picture of a scene
@@ -155,6 +155,30 @@ pub struct DemoArgs {
     output: PathBuf,
 }
 
+/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
+///
+/// Leaves CSV, JSON, plots and one page (bench.html) in a folder. A run that was stopped goes on: the same command again.
+#[cfg(feature = "report")]
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Folder for the files; made if it is not there
+    #[arg(short, long, value_name = "DIR", default_value = "bench")]
+    output: PathBuf,
+    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
+    #[arg(long)]
+    quick: bool,
+    /// Parts to measure [default: all]
+    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
+    only: Vec<Part>,
+    /// What draws beside the CPU
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: bench::Device,
+    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
+    /// serpent or city
+    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
+    scene: Vec<(bench::scenes::Name, PathBuf)>,
+}
+
 /// Measure error against time: which flags give which error in how long, on this machine and scene
 ///
 /// Leaves report.html, report.csv, report.json, plots (SVG) and pictures (PNG) in a folder. What is measured is kept there
@@ -200,30 +224,6 @@ pub struct ReportArgs {
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-}
-
-/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
-///
-/// Leaves CSV, JSON, plots and one page (index.html) in a folder. A run that was stopped goes on: the same command again.
-#[cfg(feature = "report")]
-#[derive(Debug, Args)]
-pub struct BenchArgs {
-    /// Folder for the files; made if it is not there
-    #[arg(short, long, value_name = "DIR", default_value = "bench")]
-    output: PathBuf,
-    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
-    #[arg(long)]
-    quick: bool,
-    /// Parts to measure [default: all]
-    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
-    only: Vec<Part>,
-    /// What draws beside the CPU
-    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
-    device: bench::Device,
-    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
-    /// serpent or city
-    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
-    scene: Vec<(bench::scenes::Name, PathBuf)>,
 }
 
 /// How to draw, for pictures and films alike.
@@ -599,6 +599,20 @@ impl FlyArgs {
 }
 
 #[cfg(feature = "report")]
+impl BenchArgs {
+    fn run(&self) -> Result<()> {
+        let settings = bench::Settings {
+            output: self.output.clone(),
+            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
+            device: self.device,
+            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
+            files: self.scene.iter().cloned().collect(),
+        };
+        bench::run(&settings, &mut tell)
+    }
+}
+
+#[cfg(feature = "report")]
 impl ReportArgs {
     fn run(&self) -> Result<()> {
         set_threads(self.threads)?;
@@ -621,20 +635,6 @@ impl ReportArgs {
         };
         let choice = report::report(&self.scene, &job, &mut tell)?;
         choice.map_or(Ok(()), |text| print(&(text + "\n")))
-    }
-}
-
-#[cfg(feature = "report")]
-impl BenchArgs {
-    fn run(&self) -> Result<()> {
-        let settings = bench::Settings {
-            output: self.output.clone(),
-            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
-            device: self.device,
-            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
-            files: self.scene.iter().cloned().collect(),
-        };
-        bench::run(&settings, &mut tell)
     }
 }
 
@@ -691,9 +691,9 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),
         #[cfg(feature = "report")]
-        Command::Report(args) => args.run(),
-        #[cfg(feature = "report")]
         Command::Bench(args) => args.run(),
+        #[cfg(feature = "report")]
+        Command::Report(args) => args.run(),
     })
 }
 
