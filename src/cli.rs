@@ -218,7 +218,7 @@ pub struct ReportArgs {
     /// Choose: the least error that takes at most this long a frame
     #[arg(long, value_name = "T", value_parser = positive)]
     budget_ms: Option<f64>,
-    /// Choose: the fastest whose mean FLIP is at most this (0 is perfect, 1 is worst)
+    /// Choose: the fastest whose mean FLIP against one exact ray a pixel is at most this (0 to 1)
     #[arg(long, value_name = "E", value_parser = positive)]
     max_error: Option<f64>,
     /// Threads to draw with [default: one a core]
