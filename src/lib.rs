@@ -58,6 +58,7 @@ pub mod pick;
 pub mod plane_setup;
 pub mod renderer;
 pub mod resident;
+pub mod stability;
 pub mod tour;
 pub mod video;
 

@@ -21,6 +21,10 @@ use glam::DVec3;
 /// View distance of a repeated world if none is given, in voxels (the paper's).
 pub const REPEATED_VIEW_DISTANCE: f64 = 40_000.0;
 
+/// A repeated world is drawn this far at most, in voxels: column numbers are i32, and crossings beyond no longer tell
+/// columns apart.
+pub const FARTHEST_VIEW: f64 = 1e9;
+
 /// The eye may stand this far from the origin along an axis that does not repeat, and above or below the world.
 pub const EYE_LIMIT: f64 = (1 << 30) as f64;
 
@@ -443,8 +447,11 @@ impl World {
         let (z, fz) = reduce(1, camera.eye.z, nz, options.repeat.z);
         let y = camera.eye.y.floor();
         let repeats = options.repeat.x || options.repeat.z;
-        let view_distance =
-            if options.view_distance.is_finite() || !repeats { options.view_distance } else { REPEATED_VIEW_DISTANCE };
+        let view_distance = match (options.view_distance, repeats) {
+            (view, false) => view,
+            (view, true) if view.is_finite() => view.min(FARTHEST_VIEW),
+            _ => REPEATED_VIEW_DISTANCE,
+        };
         // A level whose cells do not divide a repeated extent would straddle the seam.
         let fits = |k: u32| {
             (!options.repeat.x || nx.is_multiple_of(1 << k)) && (!options.repeat.z || nz.is_multiple_of(1 << k))
@@ -488,6 +495,10 @@ impl World {
             }
             t_end = f64::min(t_end, (far - eye) / d);
         }
+        let reach = self.reach(plane).min(t_end);
+        if reach > t_start {
+            (t_start, entered) = (reach, None);
+        }
         plane.t_start = t_start;
         plane.t_end = t_end.max(t_start);
         for axis in 0..2 {
@@ -506,6 +517,26 @@ impl World {
                 None => cell as i32,
             };
         }
+    }
+
+    /// At this distance at the earliest a sight line of the plane reaches the heights of the world; far above or below it
+    /// there would be nothing to walk through for long.
+    fn reach(&self, plane: &Plane) -> f64 {
+        let bottom = self.heights.iter().fold(f64::INFINITY, |b, h| b.min(h.0));
+        let top = self.heights.iter().fold(f64::NEG_INFINITY, |t, h| t.max(h.1));
+        // The lowest sight line goes down to a world below the eye first, the highest one up to one above.
+        let (at, near) = match (bottom, top) {
+            (_, top) if top < 0.0 => (plane.first, top),
+            (bottom, _) if bottom > 0.0 => (plane.end, bottom),
+            _ => return 0.0,
+        };
+        let u = f64::from(at);
+        let (t, h) = (plane.b - u * plane.e, u * plane.c - plane.a);
+        if h * near <= 0.0 {
+            return f64::INFINITY;
+        }
+        // A little earlier: the walk rounds to f32.
+        f64::max(near / h * t * (1.0 - 1e-6), 0.0)
     }
 
     /// From where on each level's voxels project to at most `lod` pixels, for everything that the plane can see.

@@ -258,8 +258,9 @@ impl Boxes {
         let l = voxel[3];
         let (mut near, mut far) = (0.0f32, f32::INFINITY);
         for axis in 0..3 {
-            let from = (voxel[axis] << l).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
-            let to = from + (1 << l) as f32;
+            // Each face from whole numbers: a sum with the other one would lose a face at hand.
+            let face = |cell: i32| (cell << l).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
+            let (from, to) = (face(voxel[axis]), face(voxel[axis] + 1));
             let (a, b) = (from * inverse[axis], to * inverse[axis]);
             near = near.max(a.min(b));
             far = far.min(a.max(b));
