@@ -1,7 +1,7 @@
 //! Every case of the catalogue on the CPU, within its bounds; and that the runner sees what is out of them.
 
 use planecast::stability::measure::{Truth, measure};
-use planecast::stability::{Case, Drawer, Row, WorldName, cases};
+use planecast::stability::{Case, Drawer, Row, World, WorldName, cases};
 use std::collections::HashMap;
 
 /// All cases world by world, so that each world is made once.
@@ -33,27 +33,39 @@ fn line(row: &Row) -> String {
     )
 }
 
-#[test]
-fn every_case_keeps_its_bounds_on_the_cpu() {
-    let mut faults = Vec::new();
+/// Runs every case on the devices that `drawers` gives for a world, and says what is out of its bounds.
+fn run(drawers: impl Fn(&World) -> Vec<Drawer<'_>>) -> (Vec<Row>, Vec<String>) {
+    let (mut rows, mut faults) = (Vec::new(), Vec::new());
     for (name, cases) in by_world() {
-        let at = std::time::Instant::now();
         let world = name.make();
-        eprintln!("{name:?} made {:?}", at.elapsed());
-        let mut drawers = [Drawer::cpu(&world), Drawer::exact(&world)];
+        let mut drawers = drawers(&world);
         for case in &cases {
-            let at = std::time::Instant::now();
             let truth = Truth::new(case, &world).unwrap();
-            let exact_at = at.elapsed();
             for drawer in &mut drawers {
+                let at = std::time::Instant::now();
                 let row = measure(case, &world, &truth, drawer).unwrap();
-                println!("{}", line(&row));
+                println!("{} {:.0?}", line(&row), at.elapsed());
                 faults.extend(row.faults.iter().map(|f| format!("{}, {}: {f}", row.case, row.device)));
-            }
-            if at.elapsed().as_millis() > 300 {
-                eprintln!("slow: {} {exact_at:?} {:?}", case.name, at.elapsed());
+                rows.push(row);
             }
         }
     }
+    (rows, faults)
+}
+
+#[test]
+fn every_case_keeps_its_bounds_on_the_cpu() {
+    let (_, faults) = run(|world| vec![Drawer::cpu(world), Drawer::exact(world)]);
+    assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn every_case_keeps_its_bounds_on_the_gpu() {
+    if std::env::var_os("PLANECAST_NO_GPU").is_some_and(|v| v == "1") {
+        eprintln!("skipped: PLANECAST_NO_GPU=1");
+        return;
+    }
+    let (_, faults) = run(|world| planecast::Kernel::ALL.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
 }

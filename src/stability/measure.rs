@@ -2,7 +2,7 @@
 
 use crate::camera::{Basis, Camera};
 use crate::cpu::traverse::{PlaneBuffer, SKY, traverse};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::exact::cast;
 use crate::frame::Frame;
 use crate::options::Options;
@@ -40,6 +40,16 @@ impl<'a> Drawer<'a> {
         let mut renderer = CpuRenderer::new(&world.scene, &world.resident);
         let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
         Drawer { name: "cpu".into(), exact: false, draw: Box::new(draw) }
+    }
+
+    /// A kernel of the GPU, with wgpu's runtime checks or without.
+    #[cfg(feature = "gpu")]
+    pub fn gpu(world: &'a World, kernel: crate::Kernel, trusted: bool) -> Result<Drawer<'a>> {
+        let options = crate::GpuOptions { kernel, trusted, ..crate::GpuOptions::default() };
+        let mut renderer = crate::GpuRenderer::new(&world.scene, &world.resident, options)?;
+        let name = kernel.name().to_string();
+        let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
+        Ok(Drawer { name, exact: false, draw: Box::new(draw) })
     }
 
     /// One f64 ray a pixel.
@@ -100,6 +110,9 @@ pub struct Row {
     /// The variable that a family of cases sweeps, and its value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sweep: Option<(&'static str, f64)>,
+    /// Why the device does not draw it: it is beyond a limit that it states.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
     /// What is wrong, in words; empty where all is within its bounds.
     pub faults: Vec<String>,
 }
@@ -107,18 +120,23 @@ pub struct Row {
 /// Draws a case and measures it against `truth`. An error is one of the device; whatever is wrong with the picture stands
 /// in [`Row::faults`].
 pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_>) -> Result<Row> {
-    let frame = (drawer.draw)(&case.camera, &case.options)?;
     let mut row = Row {
         case: case.name.clone(),
         reason: case.reason.into(),
         device: drawer.name.clone(),
-        pixels: frame.depth.len(),
         bound_off_percent: case.bound_off,
         bound_depth: case.bound_depth,
-        columns: frame.stats.columns_visited,
         sweep: case.sweep,
         ..Row::default()
     };
+    let frame = match (drawer.draw)(&case.camera, &case.options) {
+        Err(Error::Limit(text)) => {
+            row.refused = Some(text);
+            return Ok(row);
+        }
+        drawn => drawn?,
+    };
+    (row.pixels, row.columns) = (frame.depth.len(), frame.stats.columns_visited);
     if let Err(fault) = sane(&frame) {
         row.faults.push(fault);
         return Ok(row);
@@ -168,7 +186,7 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
     }
     if !drawer.exact && frame.stats.kernel != "inside" {
         let setup = plane_setup(&world.resident, &case.camera, &case.options);
-        row.bound_steps = setup.planes.iter().map(|p| step_bound(&setup, p)).max().unwrap_or(0);
+        row.bound_steps = setup.planes.iter().map(|p| setup.step_bound(p)).max().unwrap_or(0);
         if frame.stats.kernel == "planes" {
             let steps = most_steps(world, &case.camera, &case.options);
             row.steps = Some(steps);
@@ -177,10 +195,11 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
             }
         }
         // Rays are as many as pixels; planes as the setup says.
-        let all = if frame.stats.kernel == "raycast" {
-            row.bound_steps * row.pixels as u64
-        } else {
-            setup.planes.iter().map(|p| step_bound(&setup, p)).sum()
+        let all = match frame.stats.kernel.as_str() {
+            "raycast" => row.bound_steps * row.pixels as u64,
+            // Two columns a slice of the plane's longer axis, looked at before it is known whether nearer ones hide them.
+            "workgroup" => 2 * setup.planes.iter().map(|p| setup.step_bound(p)).sum::<u64>(),
+            _ => setup.planes.iter().map(|p| setup.step_bound(p)).sum(),
         };
         if row.columns > all {
             row.faults.push(format!("the frame looks at {} columns, at most {all} can be", row.columns));
@@ -345,22 +364,6 @@ fn moved(before: &Frame, after: &Frame) -> usize {
 fn depth_ulps(before: &Frame, after: &Frame) -> u32 {
     let same = (0..after.voxel.len()).filter(|&i| before.voxel[i] == after.voxel[i]);
     same.map(|i| before.depth[i].to_bits().abs_diff(after.depth[i].to_bits())).max().unwrap_or(0)
-}
-
-/// At most so many columns a plane's walk looks at. Of level `l` it walks the part between the distances where that level
-/// begins and ends. Along the plane's longer axis a part of length `T` crosses at most `⌈T·d / 2ˡ⌉ + 1` slices of cells (`d`
-/// the direction's greater component), in each at most two columns, for the lesser component is no greater; a change of
-/// level or a rounding at either end can cut one slice in two. So a walk ends, however the numbers in it round.
-pub fn step_bound(setup: &Setup, plane: &Plane) -> u64 {
-    let major = plane.dir[0].abs().max(plane.dir[1].abs());
-    let begin = |l: u32| if l > plane.lod_first { plane.lod_t * f64::from(1u32 << l) } else { plane.t_start };
-    (plane.lod_first..setup.levels)
-        .map(|l| {
-            let from = begin(l).max(plane.t_start);
-            let to = if l + 1 < setup.levels { begin(l + 1).min(plane.t_end) } else { plane.t_end };
-            if to > from { 2 * (((to - from) * major / f64::from(1u32 << l)).ceil() as u64 + 3) } else { 0 }
-        })
-        .sum()
 }
 
 /// Columns that the plane looks at that looks at most of them: each is walked alone.

@@ -11,7 +11,7 @@
 //! - **cracks**: pixels of sky where a surface is closed, or of anything where there is nothing.
 //! - **depth**: greatest relative error of depth against `exact`, where both show one voxel.
 //! - **steps**: columns looked at by the plane that looks at most, at most `bound_steps`, which follows from the geometry
-//!   ([`measure::step_bound`]).
+//!   ([`crate::plane_setup::Setup::step_bound`]).
 //! - **ulp**: pixels that a change of yaw, of pitch or of the eye by one ulp moves to a voxel that was not within a pixel
 //!   before, beyond those that move in `exact`; and by how many of its own ulps a depth grows beyond what `exact` gains.
 
