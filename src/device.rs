@@ -146,6 +146,28 @@ impl<'a> Renderer<'a> {
         Ok((planes_readjusted != planes_full).then_some(saves))
     }
 
+    /// The GPU's adapter and driver, where it draws.
+    pub fn adapter(&self) -> Option<String> {
+        #[cfg(feature = "gpu")]
+        if let Backend::Gpu(gpu) = &self.backend {
+            let (name, driver) = gpu.device();
+            return Some(format!("{name} ({driver})"));
+        }
+        None
+    }
+
+    /// Names of the GPU's kernels, the usual one first.
+    pub fn gpu_kernels() -> Vec<&'static str> {
+        #[cfg(feature = "gpu")]
+        {
+            let usual = GpuOptions::default().kernel;
+            let others = Kernel::ALL.into_iter().filter(|k| *k != usual);
+            [usual].into_iter().chain(others).map(Kernel::name).collect()
+        }
+        #[cfg(not(feature = "gpu"))]
+        Vec::new()
+    }
+
     /// The name of what draws, for records.
     pub fn name(&self) -> &'static str {
         match &self.backend {

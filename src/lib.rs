@@ -42,6 +42,7 @@
 
 pub mod camera;
 pub mod cli;
+pub mod compare;
 pub mod cpu;
 pub mod demo;
 pub mod device;
@@ -51,12 +52,21 @@ pub mod fly;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "report")]
+pub mod machine;
 pub mod options;
 pub mod output;
+#[cfg(feature = "report")]
+pub mod page;
 pub mod path;
 pub mod pick;
 pub mod plane_setup;
+#[cfg(feature = "report")]
+pub mod plot;
+pub mod preset;
 pub mod renderer;
+#[cfg(feature = "report")]
+pub mod report;
 pub mod resident;
 pub mod stability;
 pub mod tour;

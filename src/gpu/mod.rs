@@ -304,6 +304,12 @@ impl<'a> GpuRenderer<'a> {
 
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
         check(camera, options)?;
+        if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
+            let fixed = shade::SSAO_SAMPLES;
+            return Err(Error::Argument(format!(
+                "the gpu walks in f32 and takes {fixed} occlusion samples; use the cpu"
+            )));
+        }
         let start = Instant::now();
         if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
             frame.stats.device = self.engine.name.clone();
@@ -544,7 +550,7 @@ impl GpuRenderer<'_> {
         self.write("lines", bytemuck::cast_slice(&upload.lines));
         self.write("bounds", bytemuck::cast_slice(&upload.bounds));
         self.write("holes", &[0; 4]);
-        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera))));
+        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), shade::SSAO_SAMPLES)));
     }
 
     fn write(&self, name: &str, bytes: &[u8]) {

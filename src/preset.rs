@@ -1,0 +1,36 @@
+//! Presets of `render` and `fly`: points on the front of error against time.
+
+use crate::options::{Options, Planes, Remap};
+
+/// Speed against error, chosen from a report (`benches/runs/*-report`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Preset {
+    /// Half the planes, coarse levels early, no test of pixels against their rays.
+    Fast,
+    /// What is drawn without flags.
+    Balanced,
+    /// Twice the planes and finer levels.
+    Best,
+}
+
+impl Preset {
+    pub const ALL: [Preset; 3] = [Preset::Fast, Preset::Balanced, Preset::Best];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Preset::Fast => "fast",
+            Preset::Balanced => "balanced",
+            Preset::Best => "best",
+        }
+    }
+
+    /// Planes, levels and remap of the preset, the rest as in `base`.
+    pub fn options(self, base: Options) -> Options {
+        let (planes, lod, remap) = match self {
+            Preset::Fast => (Planes::Factor(0.5), 2.0, Remap::Nearest),
+            Preset::Balanced => (Planes::Auto, 1.0, Remap::Retest),
+            Preset::Best => (Planes::Factor(2.0), 0.5, Remap::Retest),
+        };
+        Options { planes, lod: Some(lod), remap, ..base }
+    }
+}
