@@ -45,7 +45,7 @@ fn run(drawers: impl Fn(&World) -> Vec<Drawer<'_>>) -> (Vec<Row>, Vec<String>) {
                 let at = std::time::Instant::now();
                 let row = measure(case, &world, &truth, drawer).unwrap();
                 println!("{} {:.0?}", line(&row), at.elapsed());
-                faults.extend(row.faults.iter().map(|f| format!("{}, {}: {f}", row.case, row.device)));
+                faults.extend(row.faults.iter().map(|f| format!("{}, {}: {f}", row.case, row.kernel)));
                 rows.push(row);
             }
         }

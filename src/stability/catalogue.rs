@@ -43,7 +43,7 @@ const SIZE: [u32; 2] = [64, 48];
 /// Greatest shares of pixels that may be off, in percent, by kind of view. A level view has pixel columns for planes:
 /// only rounding differs. Elsewhere a retest reaches a sample and a stripe beside the pixel, which is more than
 /// [`crate::stability::measure::REACH`] where voxels are less than a pixel wide.
-const LEVEL: f64 = 0.1;
+const LEVEL: f64 = 0.05;
 const TURNED: f64 = 0.5;
 const FINE: f64 = 4.0;
 

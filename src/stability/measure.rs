@@ -18,17 +18,18 @@ pub const REACH: f64 = 1.0;
 /// Rays that are cast across twice the reach, along each axis.
 const RAYS: u32 = 9;
 
-/// Greatest relative error of depth. Depths are f32; a sight line's slope near the horizon is a difference of two numbers
-/// as large as the image, so that up to 8,192 units in the last place (2⁻²⁴ each) are lost.
-pub const BOUND_DEPTH: f64 = 1e-3;
+/// Greatest relative error of depth: some 80 units in the last place of an f32 (2⁻²³). A crossing takes four rounded
+/// operations; near the horizon a sight line's slope is a difference of two numbers up to as large as the image's half.
+pub const BOUND_DEPTH: f64 = 1e-5;
 
 /// Greatest share of pixels, in percent, that one ulp may move beyond those that it moves in `exact`.
 pub const BOUND_MOVED: f64 = 0.5;
 
 /// Something that draws frames with voxels.
 pub struct Drawer<'a> {
-    /// Device and kernel.
-    pub name: String,
+    /// The adapter's name, or "cpu".
+    pub device: String,
+    pub kernel: String,
     /// Whether it is `exact` itself.
     pub exact: bool,
     pub draw: Box<dyn FnMut(&Camera, &Options) -> Result<Frame> + 'a>,
@@ -39,7 +40,7 @@ impl<'a> Drawer<'a> {
     pub fn cpu(world: &'a World) -> Drawer<'a> {
         let mut renderer = CpuRenderer::new(&world.scene, &world.resident);
         let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
-        Drawer { name: "cpu".into(), exact: false, draw: Box::new(draw) }
+        Drawer { device: "cpu".into(), kernel: "planes".into(), exact: false, draw: Box::new(draw) }
     }
 
     /// A kernel of the GPU, with wgpu's runtime checks or without.
@@ -47,16 +48,16 @@ impl<'a> Drawer<'a> {
     pub fn gpu(world: &'a World, kernel: crate::Kernel, trusted: bool) -> Result<Drawer<'a>> {
         let options = crate::GpuOptions { kernel, trusted, ..crate::GpuOptions::default() };
         let mut renderer = crate::GpuRenderer::new(&world.scene, &world.resident, options)?;
-        let name = kernel.name().to_string();
+        let (device, kernel) = (renderer.device().0.to_string(), kernel.name().to_string());
         let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
-        Ok(Drawer { name, exact: false, draw: Box::new(draw) })
+        Ok(Drawer { device, kernel, exact: false, draw: Box::new(draw) })
     }
 
     /// One f64 ray a pixel.
     pub fn exact(world: &'a World) -> Drawer<'a> {
         let mut renderer = CpuRenderer::new(&world.scene, &world.resident);
         let draw = move |camera: &Camera, options: &Options| renderer.exact(camera, options, Outputs { voxel: true });
-        Drawer { name: "exact".into(), exact: true, draw: Box::new(draw) }
+        Drawer { device: "cpu".into(), kernel: "exact".into(), exact: true, draw: Box::new(draw) }
     }
 }
 
@@ -88,6 +89,7 @@ pub struct Row {
     pub case: String,
     pub reason: String,
     pub device: String,
+    pub kernel: String,
     pub pixels: usize,
     /// Pixels that show what cannot be seen from there, in percent, and at most how many may.
     pub off_percent: f64,
@@ -123,7 +125,8 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
     let mut row = Row {
         case: case.name.clone(),
         reason: case.reason.into(),
-        device: drawer.name.clone(),
+        device: drawer.device.clone(),
+        kernel: drawer.kernel.clone(),
         bound_off_percent: case.bound_off,
         bound_depth: case.bound_depth,
         sweep: case.sweep,
