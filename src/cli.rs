@@ -15,6 +15,11 @@ use planecast_encoder::write::{keep_input, resolved};
 use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
 use serde_json::json;
 
+#[cfg(feature = "report")]
+use crate::bench::{
+    self,
+    parts::{Extent, Part},
+};
 use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::path::{Path, Pose};
@@ -49,6 +54,8 @@ pub enum Command {
     Demo(DemoArgs),
     #[cfg(feature = "report")]
     Report(ReportArgs),
+    #[cfg(feature = "report")]
+    Bench(BenchArgs),
 }
 
 /// Draw one picture of a scene
@@ -199,6 +206,30 @@ pub struct ReportArgs {
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+}
+
+/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
+///
+/// Leaves CSV, JSON, plots and one page (index.html) in a folder. A run that was stopped goes on: the same command again.
+#[cfg(feature = "report")]
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Folder for the files; made if it is not there
+    #[arg(short, long, value_name = "DIR", default_value = "bench")]
+    output: PathBuf,
+    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
+    #[arg(long)]
+    quick: bool,
+    /// Parts to measure [default: all]
+    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
+    only: Vec<Part>,
+    /// What draws beside the CPU
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: bench::Device,
+    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
+    /// serpent or city
+    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
+    scene: Vec<(bench::scenes::Name, PathBuf)>,
 }
 
 /// How to draw, for pictures and films alike.
@@ -616,6 +647,20 @@ impl ReportArgs {
     }
 }
 
+#[cfg(feature = "report")]
+impl BenchArgs {
+    fn run(&self) -> Result<()> {
+        let settings = bench::Settings {
+            output: self.output.clone(),
+            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
+            device: self.device,
+            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
+            files: self.scene.iter().cloned().collect(),
+        };
+        bench::run(&settings, &mut tell)
+    }
+}
+
 /// A flag that Ctrl-C sets; a second one ends the program at once.
 fn stop_on_ctrl_c() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
@@ -670,6 +715,8 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Demo(args) => demo::demo(&args.output),
         #[cfg(feature = "report")]
         Command::Report(args) => args.run(),
+        #[cfg(feature = "report")]
+        Command::Bench(args) => args.run(),
     })
 }
 
