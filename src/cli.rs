@@ -15,12 +15,19 @@ use planecast_encoder::write::{keep_input, resolved};
 use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
 use serde_json::json;
 
+#[cfg(feature = "report")]
+use crate::bench::{
+    self,
+    parts::{Extent, Part},
+};
 use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::path::{Path, Pose};
 use crate::preset::Preset;
 #[cfg(feature = "report")]
 use crate::report;
+#[cfg(feature = "report")]
+use crate::stability;
 use crate::tour::{self, View};
 use crate::{
     Camera, Culling, Error, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
@@ -45,6 +52,8 @@ pub enum Command {
     Fly(FlyArgs),
     Pick(PickArgs),
     Demo(DemoArgs),
+    #[cfg(feature = "report")]
+    Bench(BenchArgs),
     #[cfg(feature = "report")]
     Report(ReportArgs),
 }
@@ -148,6 +157,30 @@ pub struct DemoArgs {
     output: PathBuf,
 }
 
+/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
+///
+/// Leaves CSV, JSON, plots and one page (bench.html) in a folder. A run that was stopped goes on: the same command again.
+#[cfg(feature = "report")]
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Folder for the files; made if it is not there
+    #[arg(short, long, value_name = "DIR", default_value = "bench")]
+    output: PathBuf,
+    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
+    #[arg(long)]
+    quick: bool,
+    /// Parts to measure [default: all]
+    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
+    only: Vec<Part>,
+    /// What draws beside the CPU
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: bench::Device,
+    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
+    /// serpent or city
+    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
+    scene: Vec<(bench::scenes::Name, PathBuf)>,
+}
+
 /// Measure error against time: which flags give which error in how long, on this machine and scene
 ///
 /// Leaves report.html, report.csv, report.json, plots (SVG) and pictures (PNG) in a folder. What is measured is kept there
@@ -156,7 +189,11 @@ pub struct DemoArgs {
 #[derive(Debug, Args)]
 pub struct ReportArgs {
     /// Scene file (.pcast)
-    scene: PathBuf,
+    #[arg(required_unless_present = "stability", conflicts_with = "stability")]
+    scene: Option<PathBuf>,
+    /// Instead of a scene, draw the catalogue of stiff and extreme cases: stability.json, .csv, .md and plots
+    #[arg(long)]
+    stability: bool,
     /// Folder for the report; made if it is not there
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -187,7 +224,7 @@ pub struct ReportArgs {
     /// Choose: the least error that takes at most this long a frame
     #[arg(long, value_name = "T", value_parser = positive)]
     budget_ms: Option<f64>,
-    /// Choose: the fastest whose mean FLIP is at most this (0 is perfect, 1 is worst)
+    /// Choose: the fastest whose mean FLIP against one exact ray a pixel is at most this (0 to 1)
     #[arg(long, value_name = "E", value_parser = positive)]
     max_error: Option<f64>,
     /// Threads to draw with [default: one a core]
@@ -568,9 +605,26 @@ impl FlyArgs {
 }
 
 #[cfg(feature = "report")]
+impl BenchArgs {
+    fn run(&self) -> Result<()> {
+        let settings = bench::Settings {
+            output: self.output.clone(),
+            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
+            device: self.device,
+            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
+            files: self.scene.iter().cloned().collect(),
+        };
+        bench::run(&settings, &mut tell)
+    }
+}
+
+#[cfg(feature = "report")]
 impl ReportArgs {
     fn run(&self) -> Result<()> {
         set_threads(self.threads)?;
+        let Some(scene) = &self.scene else {
+            return self.stability();
+        };
         let path = self.path.as_ref().map(|file| Path::read(file, self.fov)).transpose()?;
         let job = report::Job {
             folder: &self.output,
@@ -588,8 +642,22 @@ impl ReportArgs {
             budget_ms: self.budget_ms,
             max_error: self.max_error,
         };
-        let choice = report::report(&self.scene, &job, &mut tell)?;
+        let choice = report::report(scene, &job, &mut tell)?;
         choice.map_or(Ok(()), |text| print(&(text + "\n")))
+    }
+
+    fn stability(&self) -> Result<()> {
+        std::fs::create_dir_all(&self.output).map_err(|e| FileError::io(&self.output, "make", e))?;
+        let rows = stability::run(self.device, &mut tell)?;
+        report::present::write(&self.output, &stability::present::files(&rows))?;
+        match rows.iter().filter(|r| !r.faults.is_empty()).count() {
+            0 => Ok(()),
+            n => Err(Error::Limit(format!(
+                "{n} of {} rows are out of their bounds; {} says which",
+                rows.len(),
+                self.output.join("stability.md").display()
+            ))),
+        }
     }
 }
 
@@ -645,6 +713,8 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Fly(args) => args.run(),
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),
+        #[cfg(feature = "report")]
+        Command::Bench(args) => args.run(),
         #[cfg(feature = "report")]
         Command::Report(args) => args.run(),
     })

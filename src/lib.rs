@@ -40,6 +40,8 @@
 //! At pitch 0 and roll 0 planes are pixel columns and differ from [`exact`] by rounding alone; elsewhere a pixel shows what
 //! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]). Culling never changes a picture.
 
+#[cfg(feature = "report")]
+pub mod bench;
 pub mod camera;
 pub mod cli;
 pub mod compare;
@@ -68,6 +70,7 @@ pub mod renderer;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod resident;
+pub mod stability;
 pub mod tour;
 pub mod video;
 

@@ -309,6 +309,27 @@ impl<'a> GpuRenderer<'a> {
         })
     }
 
+    /// Refuses a frame whose longest walk would keep the device busy for seconds: kernels cannot be interrupted.
+    fn check_steps(&self, setup: &Setup, options: &Options) -> Result<()> {
+        let steps = setup.planes.iter().map(|p| setup.step_bound(p)).max().unwrap_or(0);
+        let at_once = match self.options.kernel {
+            // At least 32 lanes have a slice each, in which there are two columns.
+            Kernel::Workgroup => 16,
+            Kernel::Invocation | Kernel::Raycast => 1,
+        };
+        let allowed = at_once * if self.engine.software { MAX_STEPS_SOFTWARE } else { MAX_STEPS };
+        if steps <= allowed {
+            return Ok(());
+        }
+        let levels = if options.lod.is_none() { "levels (--lod 1), " } else { "" };
+        Err(Error::Limit(format!(
+            "view of {steps} columns along one plane: kernel {} draws at most {allowed} on {}; try {levels}a smaller \
+             --view-distance or --device cpu",
+            self.options.kernel.name(),
+            self.engine.name
+        )))
+    }
+
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
         check(camera, options)?;
         if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
@@ -327,6 +348,7 @@ impl<'a> GpuRenderer<'a> {
             return Ok(());
         }
         let setup = plane_setup(self.resident, camera, options);
+        self.check_steps(&setup, options)?;
         let upload = Upload::new(self.resident, &setup, camera, options);
         let plan = Plan::new(&setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
@@ -371,6 +393,14 @@ impl<'a> GpuRenderer<'a> {
         self.read_back(&plan, frame, start, setup_ms)
     }
 }
+
+/// Columns that one lane may have to look at one after the other. Each waits for memory once or twice, about a
+/// microsecond: more of them and drivers that reset a device after two seconds would.
+const MAX_STEPS: u64 = 1 << 21;
+
+/// What llvmpipe, the software device, ends every loop after, counted over all loops of a lane; it then draws on with
+/// what it has, so that more turns mean a wrong picture.
+const MAX_STEPS_SOFTWARE: u64 = 60_000;
 
 /// A frame's sizes and variants.
 struct Plan {

@@ -336,7 +336,7 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
         fog: shade.fog,
         normals: u32::from(shade.normals),
         occlusion: u32::from(shade.occlusion),
-        view_distance: setup.planes.iter().map(|p| p.t_end).fold(0.0, f64::max).min(VIEW_LIMIT) as f32,
+        view_distance: setup.view_distance.min(VIEW_LIMIT) as f32,
     }
 }
 
