@@ -26,6 +26,8 @@ use crate::path::{Path, Pose};
 use crate::preset::Preset;
 #[cfg(feature = "report")]
 use crate::report;
+#[cfg(feature = "report")]
+use crate::stability;
 use crate::tour::{self, View};
 use crate::{
     Camera, Culling, Error, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
@@ -187,7 +189,11 @@ pub struct BenchArgs {
 #[derive(Debug, Args)]
 pub struct ReportArgs {
     /// Scene file (.pcast)
-    scene: PathBuf,
+    #[arg(required_unless_present = "stability", conflicts_with = "stability")]
+    scene: Option<PathBuf>,
+    /// Instead of a scene, draw the catalogue of stiff and extreme cases: stability.json, .csv, .md and plots
+    #[arg(long)]
+    stability: bool,
     /// Folder for the report; made if it is not there
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -218,7 +224,7 @@ pub struct ReportArgs {
     /// Choose: the least error that takes at most this long a frame
     #[arg(long, value_name = "T", value_parser = positive)]
     budget_ms: Option<f64>,
-    /// Choose: the fastest whose mean FLIP is at most this (0 is perfect, 1 is worst)
+    /// Choose: the fastest whose mean FLIP against one exact ray a pixel is at most this (0 to 1)
     #[arg(long, value_name = "E", value_parser = positive)]
     max_error: Option<f64>,
     /// Threads to draw with [default: one a core]
@@ -616,6 +622,9 @@ impl BenchArgs {
 impl ReportArgs {
     fn run(&self) -> Result<()> {
         set_threads(self.threads)?;
+        let Some(scene) = &self.scene else {
+            return self.stability();
+        };
         let path = self.path.as_ref().map(|file| Path::read(file, self.fov)).transpose()?;
         let job = report::Job {
             folder: &self.output,
@@ -633,8 +642,22 @@ impl ReportArgs {
             budget_ms: self.budget_ms,
             max_error: self.max_error,
         };
-        let choice = report::report(&self.scene, &job, &mut tell)?;
+        let choice = report::report(scene, &job, &mut tell)?;
         choice.map_or(Ok(()), |text| print(&(text + "\n")))
+    }
+
+    fn stability(&self) -> Result<()> {
+        std::fs::create_dir_all(&self.output).map_err(|e| FileError::io(&self.output, "make", e))?;
+        let rows = stability::run(self.device, &mut tell)?;
+        report::present::write(&self.output, &stability::present::files(&rows))?;
+        match rows.iter().filter(|r| !r.faults.is_empty()).count() {
+            0 => Ok(()),
+            n => Err(Error::Limit(format!(
+                "{n} of {} rows are out of their bounds; {} says which",
+                rows.len(),
+                self.output.join("stability.md").display()
+            ))),
+        }
     }
 }
 

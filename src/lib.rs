@@ -70,6 +70,7 @@ pub mod renderer;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod resident;
+pub mod stability;
 pub mod tour;
 pub mod video;
 

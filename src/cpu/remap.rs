@@ -262,11 +262,11 @@ impl Boxes {
     #[inline(always)]
     fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> f32 {
         let l = voxel[3];
-        let size = 1i32.wrapping_shl(l as u32) as f32;
         let (mut near, mut far) = (0.0f32, f32::INFINITY);
         for axis in 0..3 {
-            let from = voxel[axis].wrapping_shl(l as u32).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
-            let to = from + size;
+            // Each face from whole numbers: a sum with the other one would lose a face at hand.
+            let face = |cell: i32| cell.wrapping_shl(l as u32).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
+            let (from, to) = (face(voxel[axis]), face(voxel[axis].wrapping_add(1)));
             let (a, b) = (from * inverse[axis], to * inverse[axis]);
             near = Real::max(near, Real::min(a, b));
             far = Real::min(far, Real::max(a, b));

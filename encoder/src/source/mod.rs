@@ -140,7 +140,7 @@ pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
 }
 
 /// Reads an input whose file at `path` holds `bytes`.
-fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
