@@ -2,7 +2,7 @@
 
 use crate::options::{Options, Planes, Remap};
 
-/// Speed against error, chosen from a report (`benches/runs/*-report`).
+/// Speed against error, points of the report in `benches/runs/2026-11-22-report`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Preset {
     /// Half the planes, and levels at two pixels.
