@@ -35,6 +35,8 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Encode(planecast_encoder::cli::EncodeArgs),
+    Merge(planecast_encoder::cli::MergeArgs),
+    Verify(planecast_encoder::cli::VerifyArgs),
     Decode(planecast_encoder::cli::DecodeArgs),
     Info(planecast_encoder::cli::InfoArgs),
     Query(planecast_encoder::cli::QueryArgs),

@@ -94,13 +94,7 @@ pub fn stroll(resident: &Resident, width: u32, height: u32) -> Vec<Camera> {
 }
 
 /// Frames a second over all `poses`, read back, with as many on their way as is said.
-pub fn film(
-    scene: &Scene,
-    resident: &Resident,
-    poses: &[Camera],
-    options: &Options,
-    in_flight: usize,
-) -> Result<f64> {
+pub fn film(scene: &Scene, resident: &Resident, poses: &[Camera], options: &Options, in_flight: usize) -> Result<f64> {
     let mut gpu = GpuRenderer::new(scene, resident, GpuOptions { in_flight, ..GpuOptions::default() })?;
     let mut round = || -> Result<Duration> {
         let start = Instant::now();

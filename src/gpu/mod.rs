@@ -174,7 +174,8 @@ impl<'a> GpuRenderer<'a> {
     pub fn new(scene: &'a Scene, resident: &'a Resident, options: GpuOptions) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
             let invocation = options.kernel == Kernel::Invocation;
-            let fits = if invocation { lanes.is_power_of_two() && lanes <= 64 } else { lanes % 32 == 0 && lanes <= 256 };
+            let fits =
+                if invocation { lanes.is_power_of_two() && lanes <= 64 } else { lanes % 32 == 0 && lanes <= 256 };
             if lanes == 0 || !fits {
                 let allowed = if invocation { "a power of two up to 64" } else { "a multiple of 32 up to 256" };
                 return Err(Error::Argument(format!(
@@ -589,10 +590,7 @@ impl GpuRenderer<'_> {
                 ("traverse_invocation", defines, [groups(plan.n_planes, plan.lanes), 1])
             }
             Kernel::Workgroup => {
-                constants.extend([
-                    ("HORIZON", on(culling.horizon)),
-                    ("FINE", f64::from(plan.fine())),
-                ]);
+                constants.extend([("HORIZON", on(culling.horizon)), ("FINE", f64::from(plan.fine()))]);
                 let defines: &[_] = if plan.spill { &["STORAGE_KEYS"] } else { &[] };
                 let x = plan.n_planes.min(GROUPS_A_ROW);
                 ("traverse_workgroup", defines, [x, groups(plan.n_planes, x.max(1))])

@@ -17,8 +17,8 @@ use rayon::prelude::*;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
-use super::{ReadOptions, build_rows, guarded, map, world_dims};
-use crate::{Colors, Error, Input, Result, Rgb, Run};
+use super::{ReadOptions, guarded, map, world_dims};
+use crate::{Colors, Columns, Error, Input, Result, Rgb, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not
 /// worth asking memory for.
@@ -85,7 +85,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
     }
 
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
-    let columns = build_rows(dims, |z, columns| {
+    let columns = Columns::try_from_rows(dims, |z, columns| {
         let at = z as usize * width as usize;
         for &value in &values[at..at + width as usize] {
             if value.is_finite() {

@@ -17,14 +17,15 @@ mod volume;
 mod vox;
 mod vxl;
 
+pub(crate) use volume::read_at;
+
 use std::fs::{self, File};
 use std::io::Read;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
-
-use crate::{Columns, ColumnsBuilder, Error, Input, Result};
+use crate::pieces::{self, InMemory, Pieces};
+use crate::{Error, Input, Result};
 
 /// Highest column that a scene can hold, in voxels.
 pub const MAX_HEIGHT: u64 = 65_536;
@@ -83,6 +84,8 @@ const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Up {
+    /// Input (x, y, z) is world (z, x, y)
+    X,
     /// Input (x, y, z) is world (x, y, z)
     #[default]
     Y,
@@ -133,31 +136,45 @@ fn parse_dims(s: &str) -> Result<[u64; 3], String> {
 
 /// Reads the file at `path`, or makes the scene that a name like `procedural:terrain?size=512&seed=7` describes.
 pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
+    pieces::whole(&*open_pieces(path, opts)?)
+}
+
+/// The same, read piece by piece; volumes are never in memory as a whole.
+pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
         return procedural::from_name(name);
     }
-    read(path, &map(path)?, opts)
+    let bytes = map(path)?;
+    match read(path, &bytes, opts)? {
+        World::Volume(volume) => Ok(Box::new(volume.in_file(path, &bytes)?)),
+        World::Pieces(pieces) => Ok(pieces),
+    }
+}
+
+/// What a reader finds.
+enum World<'a> {
+    /// Values that stay where they are.
+    Volume(volume::Volume<'a>),
+    Pieces(Box<dyn Pieces>),
+}
+
+impl From<Input> for World<'_> {
+    fn from(input: Input) -> Self {
+        World::Pieces(Box::new(InMemory::new(input)))
+    }
 }
 
 /// Reads an input whose file at `path` holds `bytes`.
-fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a>> {
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
         None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
     };
-    let mut input = match format {
-        Format::Raw => volume::raw(path, bytes, opts),
-        Format::Npy => volume::npy(path, bytes, opts),
-        Format::Nrrd => volume::nrrd(path, bytes, opts),
-        Format::Nifti => volume::nifti(path, bytes, opts),
-        Format::Heightmap => heightmap::read(path, bytes, opts),
-        Format::Vxl => vxl::read(path, bytes),
-        Format::Vox => vox::read(path, bytes),
-    }?;
+    let mut notes = Vec::new();
     let mut unused = |flag: &str, given: bool, why: &str| {
         if given {
-            input.notes.push(format!("{flag} is not used: {why}"));
+            notes.push(format!("{flag} is not used: {why}"));
         }
     };
     let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti);
@@ -168,7 +185,22 @@ fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
     unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
-    Ok(input)
+    let mut volume = |volume: Result<volume::Volume<'a>>| {
+        let mut volume = volume?;
+        volume.notes.append(&mut notes);
+        Ok(World::Volume(volume))
+    };
+    let mut input = match format {
+        Format::Raw => return volume(volume::raw(path, bytes, opts)),
+        Format::Npy => return volume(volume::npy(path, bytes, opts)),
+        Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
+        Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
+        Format::Heightmap => heightmap::read(path, bytes, opts),
+        Format::Vxl => vxl::read(path, bytes),
+        Format::Vox => vox::read(path, bytes),
+    }?;
+    input.notes.append(&mut notes);
+    Ok(input.into())
 }
 
 /// The kind of a file from its first bytes (at least 64 KiB of them, or all), and where those tell nothing, from
@@ -246,36 +278,6 @@ fn world_dims(path: &Path, dims: [u64; 3], hint: &str) -> Result<[u32; 3]> {
         return fail(format!("the world would have {nx} × {nz} columns, at most {MAX_COLUMNS} can be held"));
     }
     Ok([nx as u32, ny as u32, nz as u32])
-}
-
-/// Columns made in parallel, one row of constant z at a time: `row` ends `nx` columns in the builder it is given.
-fn build_rows([nx, ny, nz]: [u32; 3], row: impl Fn(u32, &mut ColumnsBuilder) -> Result<()> + Sync) -> Result<Columns> {
-    let rows = (0..nz)
-        .into_par_iter()
-        .map(|z| {
-            let mut columns = ColumnsBuilder::new(nx, ny, 1);
-            row(z, &mut columns)?;
-            Ok(columns.finish())
-        })
-        .collect::<Result<Vec<Columns>>>()?;
-    concat_rows([nx, ny, nz], &rows)
-}
-
-/// One world from its rows of constant z.
-fn concat_rows([nx, ny, nz]: [u32; 3], rows: &[Columns]) -> Result<Columns> {
-    let n_runs: usize = rows.iter().map(|r| r.runs().len()).sum();
-    if u32::try_from(n_runs).is_err() {
-        return Err(Error::Limit(format!("the world has {n_runs} runs, at most {} can be held", u32::MAX)));
-    }
-    let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
-    let mut runs = Vec::with_capacity(n_runs);
-    offsets.push(0);
-    for row in rows {
-        let base = runs.len() as u32;
-        offsets.extend(row.offsets()[1..].iter().map(|o| base + o));
-        runs.extend_from_slice(row.runs());
-    }
-    Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
 }
 
 /// Runs a decoder of somebody else's, so that a panic of its own on hostile bytes is an error like any other. A

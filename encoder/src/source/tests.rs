@@ -8,7 +8,7 @@ use flate2::write::GzEncoder;
 use super::procedural::noise::hash;
 use super::procedural::{Kind, from_name, procedural};
 use super::*;
-use crate::{Colors, Rgb, Run};
+use crate::{Colors, Columns, Rgb, Run};
 
 /// A file in a folder that goes away with it.
 struct File(tempfile::TempDir, PathBuf);
@@ -31,9 +31,16 @@ fn opts(flags: &str) -> ReadOptions {
     Cli::try_parse_from(["x"].into_iter().chain(flags.split_whitespace())).unwrap().read
 }
 
+fn read_whole(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+    match super::read(path, bytes, opts)? {
+        World::Volume(volume) => pieces::whole(&volume),
+        World::Pieces(pieces) => pieces::whole(&*pieces),
+    }
+}
+
 /// Reads `bytes` as a file of that name and checks that what comes back keeps its promises.
 fn try_read(name: &str, bytes: &[u8], flags: &str) -> Result<Input> {
-    let input = super::read(Path::new(name), bytes, &opts(flags))?;
+    let input = read_whole(Path::new(name), bytes, &opts(flags))?;
     assert_eq!(broken_promise(&input), None);
     Ok(input)
 }
@@ -104,7 +111,7 @@ fn refuses_every_prefix_but(n: usize, name: &str, bytes: &[u8], flags: &str) {
     assert!(try_read(name, bytes, flags).is_ok());
     let (path, opts) = (Path::new(name), opts(flags));
     for len in 0..bytes.len() {
-        let outcome = super::read(path, &bytes[..len], &opts);
+        let outcome = read_whole(path, &bytes[..len], &opts);
         let all = bytes.len();
         assert!(outcome.is_err() || len + n >= all, "{name}: the first {len} of {all} bytes were read");
     }
@@ -117,7 +124,7 @@ fn survives_changed_bytes(name: &str, bytes: &[u8], flags: &str) {
         for value in [0, 1, 0x7F, 0x80, 0xFF, bytes[at] ^ 0x10] {
             let mut bytes = bytes.to_vec();
             bytes[at] = value;
-            if let Ok(input) = super::read(path, &bytes, &opts) {
+            if let Ok(input) = read_whole(path, &bytes, &opts) {
                 assert_eq!(broken_promise(&input), None, "{name}: byte {at} = {value}");
             }
         }
@@ -156,12 +163,20 @@ fn u8_volume() -> Vec<u8> {
 }
 
 /// Compares with one look at `solid` a voxel; `solid` takes file coordinates.
-fn assert_volume(input: &Input, z_up: bool, solid: impl Fn(usize, usize, usize) -> bool) {
+fn assert_volume(input: &Input, up: Up, solid: impl Fn(usize, usize, usize) -> bool) {
     let [nx, ny, nz] = DIMS;
-    let dims = if z_up { [nx, nz, ny] } else { DIMS };
+    let dims = match up {
+        Up::X => [nz, nx, ny],
+        Up::Y => DIMS,
+        Up::Z => [nx, nz, ny],
+    };
     assert_eq!(input.columns.dims().map(|d| d as usize), dims);
     for (x, y, z) in (0..nx * ny * nz).map(|i| (i % nx, i / nx % ny, i / (nx * ny))) {
-        let world = if z_up { [x, z, ny - 1 - y] } else { [x, y, z] };
+        let world = match up {
+            Up::X => [z, x, y],
+            Up::Y => [x, y, z],
+            Up::Z => [x, z, ny - 1 - y],
+        };
         let [wx, wy, wz] = world.map(|v| v as i64);
         assert_eq!(input.columns.solid(wx, wy, wz), solid(x, y, z), "file voxel ({x}, {y}, {z})");
     }
@@ -169,9 +184,9 @@ fn assert_volume(input: &Input, z_up: bool, solid: impl Fn(usize, usize, usize) 
 
 #[test]
 fn raw_voxels_land_where_the_up_axis_says() {
-    for (flags, z_up) in [("", false), ("--up y", false), ("--up z", true)] {
+    for (flags, up) in [("", Up::Y), ("--up y", Up::Y), ("--up z", Up::Z), ("--up x", Up::X)] {
         let input = read("v.raw", &u8_volume(), &format!("--dims 70,5,9 {flags}"));
-        assert_volume(&input, z_up, |x, y, z| value(x, y, z) > 0);
+        assert_volume(&input, up, |x, y, z| value(x, y, z) > 0);
     }
 }
 
@@ -181,7 +196,7 @@ fn raw_comparison_sees_one_wrong_voxel() {
     let mut bytes = u8_volume();
     let last = bytes.last_mut().unwrap();
     *last = u8::from(*last == 0);
-    assert_volume(&read("v.raw", &bytes, "--dims 70,5,9"), false, |x, y, z| value(x, y, z) > 0);
+    assert_volume(&read("v.raw", &bytes, "--dims 70,5,9"), Up::Y, |x, y, z| value(x, y, z) > 0);
 }
 
 #[test]
@@ -190,15 +205,15 @@ fn raw_values_of_every_type_meet_the_iso_value() {
     let volume = |bytes: Vec<u8>, dtype: &str, iso: &str| {
         read("v.raw", &bytes, &format!("--dims 70,5,9 --dtype {dtype} --iso {iso}"))
     };
-    assert_volume(&volume(u8_volume(), "u8", "40"), false, at_least(40));
-    assert_volume(&volume(bytes_of(values(|v| (v as i8).to_le_bytes())), "i8", "-5"), false, |x, y, z| {
+    assert_volume(&volume(u8_volume(), "u8", "40"), Up::Y, at_least(40));
+    assert_volume(&volume(bytes_of(values(|v| (v as i8).to_le_bytes())), "i8", "-5"), Up::Y, |x, y, z| {
         value(x, y, z) as i8 >= -5
     });
-    assert_volume(&volume(bytes_of(values(|v| ((v + 300) as u16).to_le_bytes())), "u16", "340"), false, at_least(40));
-    assert_volume(&volume(bytes_of(values(|v| (v as i16 * 9).to_le_bytes())), "i16", "-270"), false, at_least(-30));
-    assert_volume(&volume(bytes_of(values(|v| (v as f32 / 10.0).to_le_bytes())), "f32", "0.7"), false, at_least(7));
-    assert_volume(&volume(bytes_of(values(|v| f64::from(v).to_le_bytes())), "f64", "1e1"), false, at_least(10));
-    assert_volume(&volume(bytes_of(values(|v| (i64::from(v) << 40).to_le_bytes())), "i64", "0"), false, at_least(0));
+    assert_volume(&volume(bytes_of(values(|v| ((v + 300) as u16).to_le_bytes())), "u16", "340"), Up::Y, at_least(40));
+    assert_volume(&volume(bytes_of(values(|v| (v as i16 * 9).to_le_bytes())), "i16", "-270"), Up::Y, at_least(-30));
+    assert_volume(&volume(bytes_of(values(|v| (v as f32 / 10.0).to_le_bytes())), "f32", "0.7"), Up::Y, at_least(7));
+    assert_volume(&volume(bytes_of(values(|v| f64::from(v).to_le_bytes())), "f64", "1e1"), Up::Y, at_least(10));
+    assert_volume(&volume(bytes_of(values(|v| (i64::from(v) << 40).to_le_bytes())), "i64", "0"), Up::Y, at_least(0));
 }
 
 #[test]
@@ -248,13 +263,15 @@ fn npy_reads_either_order_and_byte_order() {
     let solid = |x, y, z| value(x, y, z) >= 20;
     let shape = "9, 5, 70";
     let c_order = npy_file("<i2", "False", shape, &bytes_of(values(|v| (v as i16).to_le_bytes())));
-    assert_volume(&read("a.npy", &c_order, "--iso 20"), false, solid);
+    assert_volume(&read("a.npy", &c_order, "--iso 20"), Up::Y, solid);
     let big = npy_file(">i2", "False", shape, &bytes_of(values(|v| (v as i16).to_be_bytes())));
-    assert_volume(&read("a.npy", &big, "--iso 20 --up z"), true, solid);
+    assert_volume(&read("a.npy", &big, "--iso 20 --up z"), Up::Z, solid);
     let [nx, ny, nz] = DIMS;
     let data = (0..nx * ny * nz).map(|i| (value(i / (nz * ny), i / nz % ny, i % nz) as i16).to_le_bytes()).collect();
     let fortran = npy_file("<i2", "True", shape, &bytes_of(data));
-    assert_volume(&read("no-name", &fortran, "--iso 20"), false, solid);
+    for (flags, up) in [("", Up::Y), ("--up z", Up::Z), ("--up x", Up::X)] {
+        assert_volume(&read("no-name", &fortran, &format!("--iso 20 {flags}")), up, solid);
+    }
 }
 
 #[test]
@@ -276,20 +293,20 @@ fn nrrd_reads_raw_gzip_and_detached_values() {
     let data = bytes_of(values(|v| (v as i16).to_le_bytes()));
     let with = |header: &str, data: &[u8]| [header.as_bytes(), data].concat();
     let raw = with(&format!("{NRRD}encoding: raw\nkey:=value\n\n"), &data);
-    assert_volume(&read("a.nrrd", &raw, "--iso 20"), false, solid);
+    assert_volume(&read("a.nrrd", &raw, "--iso 20"), Up::Y, solid);
     let skipped = with(&format!("{NRRD}encoding: raw\nbyte skip: -1\n\nsomething else"), &data);
-    assert_volume(&read("a.nrrd", &skipped, "--iso 20"), false, solid);
+    assert_volume(&read("a.nrrd", &skipped, "--iso 20"), Up::Y, solid);
     let gz = with(&format!("{NRRD}encoding: gzip\n\n"), &gzip(&data));
-    assert_volume(&read("a.nrrd", &gz, "--iso 20 --up z"), true, solid);
+    assert_volume(&read("a.nrrd", &gz, "--iso 20 --up z"), Up::Z, solid);
     let big = with(
         &format!("{}encoding: raw\n\n", NRRD.replace("little", "big")),
         &bytes_of(values(|v| (v as i16).to_be_bytes())),
     );
-    assert_volume(&read("a.nrrd", &big, "--iso 20"), false, solid);
+    assert_volume(&read("a.nrrd", &big, "--iso 20"), Up::Y, solid);
 
     let header = file("a.nhdr", format!("{NRRD}encoding: raw\ndata file: a.raw\n").as_bytes());
     fs::write(header.0.path().join("a.raw"), &data).unwrap();
-    assert_volume(&open(&header.1, &opts("--iso 20")).unwrap(), false, solid);
+    assert_volume(&open(&header.1, &opts("--iso 20")).unwrap(), Up::Y, solid);
     fs::remove_file(header.0.path().join("a.raw")).unwrap();
     assert!(open(&header.1, &opts("--iso 20")).is_err_and(|e| e.to_string().contains("a.raw: cannot open")));
 }
@@ -332,10 +349,10 @@ fn nifti_file(dims: [u16; 3], datatype: i16, slope: [f32; 2], data: &[u8]) -> Ve
 fn nifti_applies_slope_and_intercept_to_the_iso_value() {
     let data = bytes_of(values(|v| (v as i16).to_le_bytes()));
     let plain = nifti_file([70, 5, 9], 4, [0.0, 0.0], &data);
-    assert_volume(&read("a.nii", &plain, "--iso 20"), false, |x, y, z| value(x, y, z) >= 20);
+    assert_volume(&read("a.nii", &plain, "--iso 20"), Up::Y, |x, y, z| value(x, y, z) >= 20);
     let scaled = nifti_file([70, 5, 9], 4, [-2.0, 10.0], &data);
     let solid = |x, y, z| 10 - 2 * value(x, y, z) >= 20;
-    assert_volume(&read("a.nii.gz", &gzip(&scaled), "--iso 20 --up z"), true, solid);
+    assert_volume(&read("a.nii.gz", &gzip(&scaled), "--iso 20 --up z"), Up::Z, solid);
     let e = error("a.nii", &scaled, "");
     let high = 10 - 2 * values(|v| v).into_iter().min().unwrap();
     assert!(e.contains(&format!("to {high};")), "{e}");
@@ -504,7 +521,7 @@ fn heightmap_refuses_damaged_images() {
         for value in [0, 1, 0x7F, 0xFF] {
             let mut bytes = tiff.clone();
             bytes[at] = value;
-            if let Ok(input) = super::read(path, &bytes, &opts) {
+            if let Ok(input) = read_whole(path, &bytes, &opts) {
                 assert_eq!(broken_promise(&input), None, "byte {at} = {value}");
             }
         }
@@ -850,11 +867,16 @@ fn fingerprint(c: &Columns) -> u64 {
     h.digest()
 }
 
+/// The columns of a scene, all of them.
+fn made(scene: Result<Box<dyn Pieces>>) -> Columns {
+    pieces::whole(&*scene.unwrap()).unwrap().columns
+}
+
 #[test]
 fn procedural_scenes_keep_their_promises_at_any_size() {
     for kind in Kind::value_variants() {
         for size in [1, 2, 7, 27, 81] {
-            match procedural(*kind, size, 3) {
+            match procedural(*kind, size, 3).and_then(|p| pieces::whole(&*p)) {
                 Ok(input) => {
                     assert_eq!(broken_promise(&input), None, "{kind:?} {size}");
                     assert_eq!([input.columns.nx(), input.columns.nz()], [size; 2]);
@@ -872,10 +894,10 @@ fn procedural_scenes_keep_their_promises_at_any_size() {
 fn procedural_scenes_depend_on_the_seed_and_nothing_else() {
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing, Kind::Shapes] {
-        let a = procedural(kind, 64, 5).unwrap().columns;
-        assert_eq!(a, one_thread.install(|| procedural(kind, 64, 5)).unwrap().columns, "{kind:?}");
-        assert_ne!(a, procedural(kind, 64, 6).unwrap().columns, "{kind:?}");
-        assert_ne!(a, procedural(kind, 64, 5 + (1 << 32)).unwrap().columns, "{kind:?}: high half of the seed");
+        let a = made(procedural(kind, 64, 5));
+        assert_eq!(a, one_thread.install(|| made(procedural(kind, 64, 5))), "{kind:?}");
+        assert_ne!(a, made(procedural(kind, 64, 6)), "{kind:?}");
+        assert_ne!(a, made(procedural(kind, 64, 5 + (1 << 32))), "{kind:?}: high half of the seed");
     }
 }
 
@@ -884,7 +906,7 @@ fn procedural_scenes_tile() {
     // Across the seam neighbouring columns differ about as much as anywhere else; a scene shifted against itself
     // (the planted fault) differs far more.
     for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing] {
-        let c = procedural(kind, 128, 1).unwrap().columns;
+        let c = made(procedural(kind, 128, 1));
         let differ = |a: &[Run], b: &[Run]| {
             let column = |runs: &[Run]| {
                 (0..c.ny()).map(|y| runs.iter().any(|r| (r.first().into()..r.end()).contains(&y))).collect::<Vec<_>>()
@@ -901,7 +923,7 @@ fn procedural_scenes_tile() {
 
 #[test]
 fn procedural_landscapes_have_what_height_maps_cannot_hold() {
-    let c = procedural(Kind::Terrain, 256, 1).unwrap().columns;
+    let c = made(procedural(Kind::Terrain, 256, 1));
     let several = c.offsets().windows(2).filter(|w| w[1] - w[0] > 1).count();
     assert!(several * 10 > 256 * 256, "{several} columns of several runs");
     // Nothing falls out of the world.
@@ -911,10 +933,10 @@ fn procedural_landscapes_have_what_height_maps_cannot_hold() {
 #[test]
 fn menger_sponge_has_20_to_the_level_voxels_and_is_the_same_along_every_axis() {
     for level in 0..=4 {
-        let c = from_name(&format!("menger?level={level}")).unwrap().columns;
+        let c = made(from_name(&format!("menger?level={level}")));
         assert_eq!(c.voxels(), 20u64.pow(level));
     }
-    let c = from_name("menger?level=3").unwrap().columns;
+    let c = made(from_name("menger?level=3"));
     for (x, y, z) in (0..27 * 27 * 27).map(|i| (i % 27, i / 27 % 27, i / 729)) {
         let by_rule = (0..3).all(|p| [x, y, z].iter().filter(|&&v| v / 3i64.pow(p) % 3 == 1).count() < 2);
         assert_eq!(c.solid(x, y, z), by_rule, "({x}, {y}, {z})");
@@ -926,7 +948,7 @@ fn procedural_scenes_are_the_same_on_every_machine() {
     let prints =
         [("terrain?size=64&seed=1", TERRAIN), ("mixing?size=64&seed=1", MIXING), ("shapes?size=64&seed=1", SHAPES)];
     for (name, expected) in prints {
-        assert_eq!(fingerprint(&from_name(name).unwrap().columns), expected, "{name}");
+        assert_eq!(fingerprint(&made(from_name(name))), expected, "{name}");
     }
 }
 
@@ -947,4 +969,49 @@ fn procedural_names_are_checked() {
     assert!(e("menger?size=28").contains("power of 3"));
     let through_open = open(Path::new("procedural:menger?level=1"), &ReadOptions::default()).unwrap();
     assert_eq!(through_open.columns.voxels(), 20);
+}
+
+// Pieces.
+
+/// A volume whose values stay in its file gives the same columns as one in memory, whatever is asked of it at a time.
+#[test]
+fn pieces_of_a_volume_in_a_file_are_those_of_the_volume_in_memory() {
+    let [nx, ny, nz] = [130, 70, 65];
+    let voxel = |i: usize| {
+        u8::from(hash(3, (i % nx / 3) as u32, (i / nx % ny / 5) as u32, (i / nx / ny / 4) as u32) >> 31 == 0)
+    };
+    let bytes: Vec<u8> = (0..nx * ny * nz).map(voxel).collect();
+    let mut npy = npy_file("|u1", "True", "65, 70, 130", &[]);
+    npy.extend(&bytes);
+    let mut raw = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 130 70 65\nencoding: gzip\n\n".to_vec();
+    raw.extend(gzip(&bytes));
+    for (name, bytes, flags) in [("v.raw", &bytes, "--dims 130,70,65"), ("v.npy", &npy, ""), ("v.nrrd", &raw, "")] {
+        for up in ["x", "y", "z"] {
+            let flags = format!("{flags} --up {up}");
+            let in_memory = read(name, bytes, &flags).columns;
+            let file = file(name, bytes);
+            let pieces = open_pieces(&file.1, &opts(&flags)).unwrap();
+            let [nx, _, nz] = pieces.dims();
+            assert_eq!(pieces.dims(), in_memory.dims());
+            for (xs, zs) in [(0..nx, 0..nz), (0..1, 0..nz), (7..nx - 3, 5..6), (nx - 1..nx, nz - 9..nz), (3..64, 9..33)]
+            {
+                let piece = pieces.piece(xs.clone(), zs.clone()).unwrap().columns;
+                assert_eq!(piece, in_memory.crop(xs.clone(), zs.clone()), "{name} --up {up} {xs:?} {zs:?}");
+            }
+        }
+    }
+}
+
+/// The values that are solid, found by looking at the ends and between, are just those that compare so.
+#[test]
+fn iso_values_are_met_by_every_value_of_small_types() {
+    let all: Vec<u8> = (0..=255).collect();
+    let wide: Vec<u8> = (i16::MIN..=i16::MAX).flat_map(i16::to_le_bytes).collect();
+    for iso in [-40_000.0, -32_768.0, -200.5, -1.0, 0.0, 0.5, 1.0, 7.0, 127.5, 255.0, 255.5, 32_767.0, 1e9] {
+        let solid = |bytes: &[u8], flags: &str| read("v.raw", bytes, &format!("{flags} --iso {iso}")).columns.voxels();
+        let expected = (0..=255).filter(|&v| f64::from(v) >= iso).count() as u64;
+        assert_eq!(solid(&all, "--dims 4,1,64"), expected, "u8 {iso}");
+        let expected = (i16::MIN..=i16::MAX).filter(|&v| f64::from(v) >= iso).count() as u64;
+        assert_eq!(solid(&wide, "--dims 256,1,256 --dtype i16"), expected, "i16 {iso}");
+    }
 }
