@@ -301,7 +301,7 @@ impl Tiles {
         let across = u64::from(grid.tiles[0]);
         let wanted = |tx: u32, tz: u32| (from..to).contains(&(u64::from(tz) * across + u64::from(tx)));
         let whole = from == 0 && to == grid.n_tiles();
-        // Bytes a column while a job is under way; the first job is small, and tells more.
+        // Bytes a column while a job is under way; the first job tells more.
         let mut cost = FIRST_COST;
         let bands = world.rows_together().div_ceil(TILE).max(1);
         let mut tz = (from / across) as u32;
@@ -315,7 +315,6 @@ impl Tiles {
             while tx < grid.tiles[0] {
                 let column = f64::from(TILE) * f64::from(TILE) * f64::from(tall) * cost;
                 let wide = (budget / column).clamp(1.0, f64::from(grid.tiles[0] - tx)) as u32;
-                let wide = if first { wide.min(FIRST_TILES) } else { wide };
                 let mut job = Vec::new();
                 for (x, z) in (tz..tz + tall).flat_map(|z| (tx..tx + wide).map(move |x| (x, z))) {
                     if wanted(x, z) && !self.has(0, x, z) {
@@ -549,10 +548,8 @@ impl Tiles {
     }
 }
 
-/// Bytes a column that the first job is thought to take.
-const FIRST_COST: f64 = 64.0;
-/// Tiles of the first job at most.
-const FIRST_TILES: u32 = 4;
+/// Bytes a column that the first job is thought to take: a few dozen runs with their colours.
+const FIRST_COST: f64 = 256.0;
 
 fn stopped(watch: &Watch) -> Result<()> {
     if watch.stop.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }

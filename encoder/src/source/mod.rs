@@ -6,13 +6,19 @@
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
+//! | `mesh`, `ply` | PLY, OBJ, STL, glTF | as stored, or z-up by `--up z` |
+//! | `points` | LAS, LAZ, PLY without faces | z-up |
 //! | `procedural` | nothing: seeded functions | y-up |
 //!
 //! Every reader takes the whole file as bytes (memory-mapped), checks each size it claims against them before it
 //! asks for memory, and answers bad bytes with an [`Error`], never a panic.
 
 mod heightmap;
+mod mesh;
+mod ply;
+mod points;
 pub mod procedural;
+mod spots;
 mod volume;
 mod vox;
 mod vxl;
@@ -54,6 +60,12 @@ pub struct ReadOptions {
     /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
+    /// Voxels along the longest side of a mesh or a cloud of points, up to 16384 [default: 512; of LAS see --voxel]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=16384))]
+    pub size: Option<u32>,
+    /// Side of a voxel in units of a mesh or a cloud of points [default of LAS: the mean distance of points]
+    #[arg(long, value_name = "UNITS", value_parser = positive, conflicts_with = "size")]
+    pub voxel: Option<f64>,
     /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     pub height_scale: Option<f64>,
@@ -76,10 +88,20 @@ pub enum Format {
     Vxl,
     /// MagicaVoxel model or scene
     Vox,
+    /// PLY mesh or cloud of points, plain or gzip
+    Ply,
+    /// STL mesh
+    Stl,
+    /// Wavefront OBJ mesh
+    Obj,
+    /// glTF or GLB scene of meshes
+    Gltf,
+    /// LAS or LAZ cloud of points
+    Las,
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+    (.png, .jpg, .tif), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -122,6 +144,10 @@ impl Dtype {
 
 fn number(s: &str) -> Result<f64, String> {
     s.trim().parse().ok().filter(|v: &f64| !v.is_nan()).ok_or_else(|| "expected a number".to_owned())
+}
+
+fn positive(s: &str) -> Result<f64, String> {
+    number(s).ok().filter(|&v| v > 0.0 && v.is_finite()).ok_or_else(|| "expected a number above 0".to_owned())
 }
 
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
@@ -179,7 +205,10 @@ fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
     };
     let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti);
     let is_map = format == Format::Heightmap;
-    unused("--up", opts.up.is_some() && !is_volume, "the format has an up axis of its own");
+    let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
+    unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
+    unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
+    unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
     unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
     unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
@@ -198,9 +227,41 @@ fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
         Format::Heightmap => heightmap::read(path, bytes, opts),
         Format::Vxl => vxl::read(path, bytes),
         Format::Vox => vox::read(path, bytes),
+        Format::Ply => {
+            let mesh = ply::read(path, bytes)?;
+            return match mesh.triangles.is_empty() {
+                true => boxed(points::Points::of_mesh(path, mesh, opts)),
+                false => boxed(mesh::Voxelized::new(path, mesh, opts)),
+            };
+        }
+        #[cfg(feature = "mesh")]
+        Format::Stl | Format::Obj | Format::Gltf => {
+            let mesh = match format {
+                Format::Stl => mesh::stl(path, bytes),
+                Format::Obj => mesh::obj(path, bytes),
+                _ => mesh::gltf(path, bytes),
+            }?;
+            return boxed(mesh::Voxelized::new(path, mesh, opts));
+        }
+        #[cfg(not(feature = "mesh"))]
+        Format::Stl | Format::Obj | Format::Gltf => return without(path, "meshes other than PLY", "mesh"),
+        #[cfg(feature = "las")]
+        Format::Las => return boxed(points::Points::las(path, opts)),
+        #[cfg(not(feature = "las"))]
+        Format::Las => return without(path, "LAS and LAZ", "las"),
     }?;
     input.notes.append(&mut notes);
     Ok(input.into())
+}
+
+fn boxed<'a>(pieces: Result<impl Pieces + 'static>) -> Result<World<'a>> {
+    Ok(World::Pieces(Box::new(pieces?)))
+}
+
+#[allow(dead_code, reason = "all features may be there")]
+fn without<'a>(path: &Path, what: &str, feature: &str) -> Result<World<'a>> {
+    let path = path.display();
+    Err(Error::Argument(format!("{path}: this planecast reads no {what}; build it with --features {feature}")))
 }
 
 /// The kind of a file from its first bytes (at least 64 KiB of them, or all), and where those tell nothing, from
@@ -213,6 +274,9 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     let fail = |what: &str| Err(Error::format(path, what));
     match name.rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
+        "stl" => Ok(Format::Stl),
+        "obj" => Ok(Format::Obj),
+        "gltf" => Ok(Format::Gltf),
         "raw" | "bin" => fail("a raw volume does not state its size: give --dims X,Y,Z and --dtype u8|u16|i16|f32"),
         "vox" => fail("byte 0: expected \"VOX \", so this is not a MagicaVoxel file (Slab6 files share the name)"),
         "pcast" => fail("this is a scene already; encode takes what a scene is made from"),
@@ -232,6 +296,10 @@ fn detect_content(head: &[u8]) -> Option<Format> {
         (b"\x93NUMPY", Format::Npy),
         (b"NRRD000", Format::Nrrd),
         (b"VOX ", Format::Vox),
+        (b"ply\n", Format::Ply),
+        (b"ply\r\n", Format::Ply),
+        (b"glTF", Format::Gltf),
+        (b"LASF", Format::Las),
         (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
     ];
     if let Some((_, format)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
@@ -245,6 +313,9 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     } else {
         head
     };
+    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r\n") {
+        return Some(Format::Ply);
+    }
     matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)
 }
 
