@@ -14,7 +14,7 @@ use crate::encode::{self, EncodeOptions, Summary, Watch};
 use crate::pieces::{Grey, Pieces};
 use crate::source::{self, ReadOptions};
 use crate::write::{keep_input, resolved};
-use crate::{BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, Scene, info, memory, verify};
+use crate::{BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, Scene, format, info, memory, verify};
 
 /// Exit status where the input, the scene or the machine was at fault.
 pub const EXIT_INPUT: u8 = 1;
@@ -35,8 +35,8 @@ pub struct EncodeArgs {
     /// Input file, or a name such as procedural:terrain?size=512&seed=7
     pub input: PathBuf,
     /// Scene to write
-    #[arg(short, long, value_name = "SCENE.pcast")]
-    pub output: PathBuf,
+    #[arg(short, long, value_name = "SCENE.pcast", required_unless_present = "plan")]
+    pub output: Option<PathBuf>,
     #[command(flatten)]
     pub read: ReadOptions,
     /// What the runs hold
@@ -57,6 +57,12 @@ pub struct EncodeArgs {
     /// Encode these tiles of level 0 alone (256 x 256 columns each, x first), to a part that `merge` joins with others
     #[arg(long, value_name = "A..B", value_parser = tile_range)]
     pub tiles: Option<TileRange>,
+    /// Compress tiles with zstd, at this level; such a scene is read more slowly
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
+    pub zstd: Option<i32>,
+    /// Only print what there is to do, as JSON: size, and number of tiles of level 0
+    #[arg(long)]
+    pub plan: bool,
     /// Threads to encode with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
@@ -73,13 +79,24 @@ fn tile_range(s: &str) -> Result<TileRange, String> {
 
 impl EncodeArgs {
     pub fn run(&self) -> Result<()> {
+        let Some(output) = &self.output else { return in_pool(self.threads, || self.print_plan()) };
         for input in [Some(&self.input), self.read.colors.as_ref()].into_iter().flatten() {
-            keep_input(input, "--output", &self.output)?;
+            keep_input(input, "--output", output)?;
         }
-        in_pool(self.threads, || self.encode())
+        in_pool(self.threads, || self.encode(output))
     }
 
-    fn encode(&self) -> Result<()> {
+    fn print_plan(&self) -> Result<()> {
+        #[derive(serde::Serialize)]
+        struct Plan {
+            dims: [u32; 3],
+            tiles: u64,
+        }
+        let dims = source::open_pieces(&self.input, &self.read)?.dims();
+        print(&json(&Plan { dims, tiles: format::grids(dims)[0].n_tiles() }))
+    }
+
+    fn encode(&self, output: &Path) -> Result<()> {
         let begun = Instant::now();
         let mut world = source::open_pieces(&self.input, &self.read)?;
         world.notes().iter().for_each(|note| eprintln!("note: {note}"));
@@ -91,13 +108,14 @@ impl EncodeArgs {
             build: BuildOptions { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule },
             memory: self.memory,
             resume: self.resume,
+            compress: self.zstd,
             settings: self.settings(&*world),
             source: self.source(),
         };
         let bytes = world.input_bytes();
         let summary = watched(bytes, |watch| match self.tiles {
-            None => encode::encode(&*world, &opts, &self.output, watch),
-            Some(TileRange(from, to)) => encode::encode_part(&*world, &opts, from..to, &self.output, watch),
+            None => encode::encode(&*world, &opts, output, watch),
+            Some(TileRange(from, to)) => encode::encode_part(&*world, &opts, from..to, output, watch),
         })?;
         report(&summary, if self.tiles.is_some() { 0 } else { bytes }, begun);
         Ok(())
@@ -205,13 +223,16 @@ pub struct MergeArgs {
     /// Bytes of memory to stay within, as in 512M or 4G [default: a quarter of what is free]
     #[arg(long, value_name = "SIZE", value_parser = memory::parse)]
     pub memory: Option<u64>,
+    /// Compress tiles with zstd, at this level; such a scene is read more slowly
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
+    pub zstd: Option<i32>,
 }
 
 impl MergeArgs {
     pub fn run(&self) -> Result<()> {
         self.parts.iter().try_for_each(|part| keep_input(part, "--output", &self.output))?;
         let begun = Instant::now();
-        let summary = watched(0, |watch| encode::merge(&self.parts, self.memory, &self.output, watch))?;
+        let summary = watched(0, |watch| encode::merge(&self.parts, self.memory, self.zstd, &self.output, watch))?;
         report(&Summary { resumed: 0, ..summary }, 0, begun);
         Ok(())
     }

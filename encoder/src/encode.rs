@@ -19,7 +19,7 @@ use crate::format::{self, Grid, TILE, TileEntry};
 use crate::part::{Finished, Part, Plan, Stored, WORK};
 use crate::pieces::Pieces;
 use crate::read::Modes;
-use crate::write::{SceneWriter, tile_blob, too_long, write_atomic};
+use crate::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
 use crate::{BuildOptions, ColorMode, Colors, Columns, Error, Input, Level, Result, Rgb, exposure, memory, mips};
 
 /// How to encode.
@@ -31,6 +31,8 @@ pub struct EncodeOptions {
     pub memory: Option<u64>,
     /// Go on with what an interrupted encoding of the same input left.
     pub resume: bool,
+    /// Level of zstd to compress tiles with, 1 to 19; None: they stay as they are, to be mapped.
+    pub compress: Option<i32>,
     /// Hash of how the input is read, so that parts and logs of different readings are told apart.
     pub settings: u64,
     /// Hash of the input's name and time, for `resume`.
@@ -68,7 +70,7 @@ pub fn default_memory() -> u64 {
 /// Encodes a world to a scene file, which is written whole or not at all.
 pub fn encode(world: &dyn Pieces, opts: &EncodeOptions, output: &Path, watch: &Watch) -> Result<Summary> {
     let plan = plan(world, opts, None)?;
-    logged(world, plan, opts, output, watch, |scene, _| scene.assemble(output))
+    logged(world, plan, opts, output, watch, |scene, _| scene.assemble(output, opts.compress))
 }
 
 /// Encodes some tiles of level 0 to a part of a scene, which is written whole or not at all.
@@ -122,7 +124,13 @@ fn logged(
 
 /// Joins parts, in any order, to the scene that encoding the whole input would give, byte for byte. Parts may overlap
 /// where they agree.
-pub fn merge(parts: &[PathBuf], memory: Option<u64>, output: &Path, watch: &Watch) -> Result<Summary> {
+pub fn merge(
+    parts: &[PathBuf],
+    memory: Option<u64>,
+    compress: Option<i32>,
+    output: &Path,
+    watch: &Watch,
+) -> Result<Summary> {
     let mut scene: Option<Tiles> = None;
     for path in parts {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
@@ -176,7 +184,7 @@ pub fn merge(parts: &[PathBuf], memory: Option<u64>, output: &Path, watch: &Watc
     scene.log = scene.parts.len();
     scene.parts.push(Part::create(&log_path, file, scene.plan)?);
     let memory = memory.unwrap_or_else(default_memory);
-    let done = scene.count(watch).levels(memory, watch).and_then(|()| scene.assemble(output));
+    let done = scene.count(watch).levels(memory, watch).and_then(|()| scene.assemble(output, compress));
     std::fs::remove_file(&log_path).map_err(|e| Error::io(&log_path, "remove", e))?;
     done?;
     Ok(Summary { tiles: scene.stored.len() as u64, resumed: n_tiles, runs: watch.runs.load(Ordering::Relaxed) })
@@ -531,7 +539,7 @@ impl Tiles {
     }
 
     /// Puts all tiles in the order of the directory.
-    fn assemble(&self, output: &Path) -> Result<()> {
+    fn assemble(&self, output: &Path, compress: Option<i32>) -> Result<()> {
         write_atomic(output, |out| {
             let Plan { dims, modes, mip_rule, .. } = self.plan;
             let mut scene = SceneWriter::new(out, output, dims, modes, mip_rule)?;
@@ -539,7 +547,13 @@ impl Tiles {
             for some in all.chunks(64) {
                 let blobs: Vec<(TileEntry, Vec<u8>)> = some
                     .par_iter()
-                    .map(|(part, stored)| Ok((stored.entry, self.parts[*part].blob(stored)?)))
+                    .map(|(part, stored)| {
+                        let (entry, blob) = (stored.entry, self.parts[*part].blob(stored)?);
+                        Ok(match compress {
+                            Some(level) => compressed(entry, blob, level),
+                            None => (entry, blob),
+                        })
+                    })
                     .collect::<Result<_>>()?;
                 scene.push(blobs)?;
             }
@@ -818,7 +832,7 @@ mod tests {
                 parts.rotate_left(1);
                 parts.push(parts[0].clone());
                 for _ in 0..2 {
-                    merge(&parts, Some(memory), &path, &Watch::default()).unwrap();
+                    merge(&parts, Some(memory), None, &path, &Watch::default()).unwrap();
                     assert!(std::fs::read(&path).unwrap() == expected, "{build:?}");
                 }
             }
@@ -831,7 +845,7 @@ mod tests {
         let path = dir.path().join("a.pcast");
         let opts = options(BuildOptions::default(), 1 << 30);
         let good = parts(dir.path(), &opts, &[0..4, 4..9]);
-        let refused = |parts: &[PathBuf]| merge(parts, None, &path, &Watch::default()).unwrap_err().to_string();
+        let refused = |parts: &[PathBuf]| merge(parts, None, None, &path, &Watch::default()).unwrap_err().to_string();
         assert_eq!(refused(&[]), "no parts to merge");
         assert_eq!(
             refused(&good[..1]),

@@ -17,7 +17,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::format::{self, Grid, TileEntry};
 use crate::read::{Modes, Place, decode_tile};
-use crate::source::read_at;
+use crate::source::{read_at, write_at};
 use crate::{ColorMode, Encoding, Error, Level, MipRule, Result};
 
 pub const MAGIC: [u8; 8] = *b"\x89PCT\r\n\x1a\n";
@@ -298,17 +298,3 @@ impl Part {
 
 /// What work blobs hold.
 pub const WORK: Modes = Modes { encoding: Encoding::Solid, color: ColorMode::Voxel };
-
-fn write_at(file: &File, bytes: &[u8], at: u64) -> std::io::Result<()> {
-    #[cfg(unix)]
-    return std::os::unix::fs::FileExt::write_all_at(file, bytes, at);
-    #[cfg(windows)]
-    {
-        let (mut bytes, mut at) = (bytes, at);
-        while !bytes.is_empty() {
-            let n = std::os::windows::fs::FileExt::seek_write(file, bytes, at)?;
-            (bytes, at) = (&bytes[n..], at + n as u64);
-        }
-        Ok(())
-    }
-}

@@ -4,7 +4,9 @@
 //! [`PcastFile::read_scene`] all tiles, and that the exposed voxels are just those with an exposed face. A
 //! [`PcastFile::query`] checks its tile's checksum once and then reads one column.
 
+use std::borrow::Cow;
 use std::fs::File;
+use std::io::Read;
 use std::ops::{Deref, Range};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -15,7 +17,7 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::column_rle::{self, Form};
-use crate::format::{self, ALIGN, BlobHeader, EMPTY, Grid, Header, Section, TileEntry};
+use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, Section, TileEntry};
 use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
 
 /// What [`PcastFile::query`] finds.
@@ -92,11 +94,8 @@ impl PcastFile {
                 "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
             ));
         }
-        if header.version[0] != format::VERSION[0] {
-            return wrong(
-                8,
-                format!("version {} of .pcast, this program reads version {}", header.version[0], format::VERSION[0]),
-            );
+        if ![format::VERSION[0], format::VERSION_COMPRESSED[0]].contains(&header.version[0]) {
+            return wrong(8, format!("version {} of .pcast, this program reads versions 1 and 2", header.version[0]));
         }
         if header.checksum != header.checksum() {
             return wrong(56, "the header does not match its checksum; the file is damaged".into());
@@ -153,7 +152,8 @@ impl PcastFile {
         let entries: Vec<TileEntry> = directory.chunks_exact(size_of::<TileEntry>()).map(pod_read_unaligned).collect();
         let directory_at = header.directory as usize;
         let directory_end = header.directory + directory.len() as u64;
-        if let Err((tile, what)) = check_entries(&entries, directory_end, header.file_len) {
+        let flags = if header.version[0] == format::VERSION[0] { EMPTY } else { EMPTY | COMPRESSED };
+        if let Err((tile, what)) = check_entries(&entries, flags, directory_end, header.file_len) {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
         }
         let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
@@ -227,7 +227,15 @@ impl PcastFile {
             }
             self.checked[ix].store(true, Ordering::Relaxed);
         }
-        Blob::new(place, bytes).map(Some)
+        if entry.flags & COMPRESSED == 0 {
+            return Blob::new(place, Cow::Borrowed(bytes), bytes.len()).map(Some);
+        }
+        // Memory grows with what the frame really holds, not with what it claims.
+        let mut unpacked = Vec::new();
+        zstd::Decoder::with_buffer(bytes)
+            .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
+            .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
+        Blob::new(place, Cow::Owned(unpacked), bytes.len()).map(Some)
     }
 
     /// One tile, after every byte of it was checked. Its columns are those of [`Grid::columns`], counted from 0.
@@ -454,7 +462,7 @@ fn row(tile: &Columns, z: u32) -> Range<usize> {
 }
 
 /// Bounds and overlaps; an error names the tile by its number in the directory.
-fn check_entries(entries: &[TileEntry], directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
+fn check_entries(entries: &[TileEntry], flags: u32, directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
     let mut blobs = Vec::new();
     for (i, e) in entries.iter().enumerate() {
         if e.is_empty() {
@@ -463,8 +471,8 @@ fn check_entries(entries: &[TileEntry], directory_end: u64, file_len: u64) -> Re
             }
             continue;
         }
-        if e.flags != 0 {
-            return Err((i, format!("flags {:#x}, 0 or 1 was expected", e.flags)));
+        if e.flags & !flags != 0 {
+            return Err((i, format!("flags {:#x}, at most {flags:#x} was expected", e.flags)));
         }
         if !e.offset.is_multiple_of(ALIGN) {
             return Err((i, format!("blob at byte {}, a multiple of {ALIGN} was expected", e.offset)));
@@ -524,7 +532,7 @@ pub(crate) struct Place<'a> {
 
 /// A tile from its blob, every byte of it checked; from no bytes an empty one.
 pub(crate) fn decode_tile(place: Place, bytes: &[u8]) -> Result<Level> {
-    if bytes.is_empty() { Ok(place.empty()) } else { Blob::new(place, bytes)?.level() }
+    if bytes.is_empty() { Ok(place.empty()) } else { Blob::new(place, Cow::Borrowed(bytes), bytes.len())?.level() }
 }
 
 impl Place<'_> {
@@ -543,14 +551,16 @@ impl Place<'_> {
 /// A tile's bytes, cut into sections that lie inside it. What the sections hold is not yet checked.
 pub(crate) struct Blob<'a> {
     place: Place<'a>,
-    bytes: &'a [u8],
+    bytes: Cow<'a, [u8]>,
+    /// Bytes in the file.
+    stored: usize,
     header: BlobHeader,
     width: usize,
     depth: usize,
 }
 
 impl<'a> Blob<'a> {
-    fn new(place: Place<'a>, bytes: &'a [u8]) -> Result<Blob<'a>> {
+    fn new(place: Place<'a>, bytes: Cow<'a, [u8]>, stored: usize) -> Result<Blob<'a>> {
         let Modes { encoding, color } = place.modes;
         let Some(header) = bytes.get(..size_of::<BlobHeader>()) else {
             return Err(place.error(0, format!("{} bytes; a blob has a header of 64", bytes.len())));
@@ -597,7 +607,7 @@ impl<'a> Blob<'a> {
         if end != bytes.len() as u64 {
             return Err(place.error(0, format!("{} bytes, its sections end at {end}", bytes.len())));
         }
-        Ok(Blob { place, bytes, header, width, depth })
+        Ok(Blob { place, bytes, stored, header, width, depth })
     }
 
     /// All that the tile holds, checked.
@@ -625,7 +635,7 @@ impl<'a> Blob<'a> {
         Ok(level)
     }
 
-    pub(crate) fn section(&self, section: Section) -> &'a [u8] {
+    pub(crate) fn section(&self, section: Section) -> &[u8] {
         let [offset, len] = self.header.sections[section as usize].map(|n| n as usize);
         &self.bytes[offset..offset + len]
     }
@@ -635,8 +645,9 @@ impl<'a> Blob<'a> {
         self.place.offset
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.bytes.len()
+    /// Bytes in the file, and unpacked.
+    pub(crate) fn lens(&self) -> [usize; 2] {
+        [self.stored, self.bytes.len()]
     }
 
     fn offset(&self, section: Section) -> usize {
@@ -658,7 +669,7 @@ impl<'a> Blob<'a> {
     }
 
     /// Start and bytes of column number `ix`.
-    fn column(&self, table: Section, lists: Section, ix: usize) -> Result<(usize, &'a [u8])> {
+    fn column(&self, table: Section, lists: Section, ix: usize) -> Result<(usize, &[u8])> {
         let bytes = self.section(lists);
         let (start, end) = (self.start(table, ix, bytes.len()), self.start(table, ix + 1, bytes.len()));
         let column = bytes.get(start..end).ok_or_else(|| {
@@ -789,7 +800,7 @@ mod tests {
 
     use super::*;
     use crate::testing::{self, voxel_positions};
-    use crate::write::{write_scene, write_scene_to};
+    use crate::write::{SceneWriter, write_scene, write_scene_to};
     use crate::{BuildOptions, build};
 
     const MODES: [(Encoding, ColorMode); 6] = [
@@ -997,6 +1008,44 @@ mod tests {
         }
     }
 
+    #[test]
+    fn pcast_compressed_tiles_hold_the_same_and_damage_to_them_is_found() {
+        for mode in MODES {
+            let scene = scene(small(), mode);
+            let plain = opened(written(&scene)).unwrap();
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            let modes = Modes { encoding: mode.0, color: mode.1 };
+            let mut out = SceneWriter::new(&mut bytes, Path::new("a"), scene.dims(), modes, scene.mip_rule).unwrap();
+            for entry in plain.entries() {
+                let blob = plain.bytes[entry.offset as usize..][..entry.len as usize].to_vec();
+                out.push(vec![crate::write::compressed(*entry, blob, 3)]).unwrap();
+            }
+            out.finish().unwrap();
+            let good = bytes.into_inner();
+            assert_eq!(good[8], 2);
+            let file = opened(good.clone()).unwrap();
+            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+            check_queries(&file, &scene);
+            crate::info::info(&file).unwrap();
+            for at in 0..good.len() {
+                let mut bytes = good.clone();
+                bytes[at] ^= 0x11;
+                // Padding between blobs belongs to nobody.
+                assert!(read(bytes.clone()).is_err() || read(bytes).is_ok_and(|found| found == scene));
+                // Behind the checksums, whatever zstd makes of it.
+                let mut bytes = good.clone();
+                bytes[at] ^= 0x11;
+                reseal(&mut bytes);
+                let _ = read(bytes);
+            }
+            // A file of version 1 has no compressed tiles.
+            let mut old = good;
+            old[8] = 1;
+            reseal(&mut old);
+            assert!(refused(old).contains("flags 0x2, at most 0x1 was expected"));
+        }
+    }
+
     /// Small, but with every section, a hidden voxel, both edges of a level.
     fn small() -> Columns {
         Columns::from_fn(5, 9, 3, |x, y, z| y < 4 + x % 2 || y == 7 && z == 1)
@@ -1065,7 +1114,7 @@ mod tests {
             header(0, b"P"),
             "a.pcast: not a .pcast scene (byte 0: other magic number); make one with `planecast encode`"
         );
-        assert_eq!(header(8, &[2]), "a.pcast: byte 8: version 2 of .pcast, this program reads version 1");
+        assert_eq!(header(8, &[3]), "a.pcast: byte 8: version 3 of .pcast, this program reads versions 1 and 2");
         assert_eq!(header(24, &[7]), "a.pcast: byte 24: encoding 7, 0 or 1 was expected");
         assert_eq!(header(27, &[9]), "a.pcast: byte 27: 9 levels, 4 were expected");
         assert_eq!(header(32, &[8]), "a.pcast: byte 32: a directory of 4 tiles at byte 8 does not fit the file");

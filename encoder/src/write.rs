@@ -146,7 +146,7 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
         self.out.write_all(bytes).map_err(|e| Error::io(self.path, "write", e))
     }
 
-    /// The next tiles.
+    /// The next tiles, some of them [`compressed`].
     pub fn push(&mut self, tiles: Vec<(TileEntry, Vec<u8>)>) -> Result<()> {
         for (mut entry, blob) in tiles {
             if !blob.is_empty() {
@@ -156,6 +156,9 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
                     self.write(&blob)?;
                     self.at = entry.offset + blob.len() as u64;
                 }
+            }
+            if entry.flags & format::COMPRESSED != 0 {
+                self.header.version = format::VERSION_COMPRESSED;
             }
             self.entries.push(entry);
         }
@@ -175,6 +178,21 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
         self.write(bytemuck::bytes_of(&header))?;
         self.write(entries)
     }
+}
+
+/// A tile with its blob as a zstd frame, where that is smaller.
+pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (TileEntry, Vec<u8>) {
+    if blob.is_empty() {
+        return (entry, blob);
+    }
+    let frame = zstd::bulk::compress(&blob, level).expect("zstd compresses whatever fits into memory");
+    if frame.len() >= blob.len() {
+        return (entry, blob);
+    }
+    entry.flags |= format::COMPRESSED;
+    entry.len = frame.len() as u32;
+    entry.checksum = xxh3_64(&frame);
+    (entry, frame)
 }
 
 /// One level, with what its tiles need to be cut out.

@@ -13,17 +13,20 @@
 //! Every reader takes the whole file as bytes (memory-mapped), checks each size it claims against them before it
 //! asks for memory, and answers bad bytes with an [`Error`], never a panic.
 
+mod dem;
 mod heightmap;
+mod heights;
 mod mesh;
 mod ply;
 mod points;
 pub mod procedural;
 mod spots;
+mod stack;
 mod volume;
 mod vox;
 mod vxl;
 
-pub(crate) use volume::read_at;
+pub(crate) use volume::{read_at, write_at};
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -84,6 +87,10 @@ pub enum Format {
     Nifti,
     /// PNG, JPEG, TIFF or GeoTIFF image of heights
     Heightmap,
+    /// USGS ASCII digital elevation model
+    Dem,
+    /// TIFF images as slices of a volume: the pages of a file, or the files of a folder
+    Stack,
     /// Voxlap or Ace of Spades map
     Vxl,
     /// MagicaVoxel model or scene
@@ -101,7 +108,7 @@ pub enum Format {
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -170,11 +177,42 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
         return procedural::from_name(name);
     }
+    if path.is_dir() {
+        return folder(path, opts);
+    }
     let bytes = map(path)?;
     match read(path, &bytes, opts)? {
         World::Volume(volume) => Ok(Box::new(volume.in_file(path, &bytes)?)),
         World::Pieces(pieces) => Ok(pieces),
     }
+}
+
+/// A folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by name.
+fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
+    let failed = |e| Error::io(path, "read", e);
+    let mut files = Vec::new();
+    for entry in fs::read_dir(path).map_err(failed)? {
+        let file = entry.map_err(failed)?.path();
+        let kind = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if matches!(kind.as_str(), "tif" | "tiff") {
+            files.push(file);
+        }
+    }
+    // Numbers in names by their value: slice2 before slice10.
+    files.sort_by_cached_key(|file| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let parts = name.as_bytes().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit());
+        let number = |part: &[u8]| std::str::from_utf8(part).ok()?.parse::<u64>().ok();
+        let key: Vec<(u64, Vec<u8>)> = parts.map(|part| (number(part).unwrap_or(u64::MAX), part.to_vec())).collect();
+        key
+    });
+    let Some(first) = files.first() else {
+        return Err(Error::format(path, "a folder without .tif files; expected the slices of a volume or tiles of a map"));
+    };
+    if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
+        return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));
+    }
+    Ok(Box::new(stack::read(path, &files, opts)?))
 }
 
 /// What a reader finds.
@@ -203,8 +241,8 @@ fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
             notes.push(format!("{flag} is not used: {why}"));
         }
     };
-    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti);
-    let is_map = format == Format::Heightmap;
+    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack);
+    let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
     let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
     unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
     unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
@@ -214,6 +252,11 @@ fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
     unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
+    if format == Format::Npy
+        && let Some(heights) = volume::npy_heights(path, bytes)?
+    {
+        return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
+    }
     let mut volume = |volume: Result<volume::Volume<'a>>| {
         let mut volume = volume?;
         volume.notes.append(&mut notes);
@@ -224,7 +267,16 @@ fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
         Format::Npy => return volume(volume::npy(path, bytes, opts)),
         Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
         Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
-        Format::Heightmap => heightmap::read(path, bytes, opts),
+        Format::Heightmap => {
+            let mut map = heightmap::read(path, bytes, opts)?;
+            map.notes.append(&mut notes);
+            return boxed(Ok(map));
+        }
+        Format::Dem => {
+            let (heights, pixel) = dem::read(path, bytes)?;
+            return boxed(heightmap::of_heights(path, heights, Some(pixel), bytes.len() as u64, opts));
+        }
+        Format::Stack => return volume(stack::read(path, &[path.to_owned()], opts)),
         Format::Vxl => vxl::read(path, bytes),
         Format::Vox => vox::read(path, bytes),
         Format::Ply => {
@@ -274,6 +326,7 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     let fail = |what: &str| Err(Error::format(path, what));
     match name.rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
+        "dem" => Ok(Format::Dem),
         "stl" => Ok(Format::Stl),
         "obj" => Ok(Format::Obj),
         "gltf" => Ok(Format::Gltf),

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 use flate2::read::MultiGzDecoder;
 use rayon::prelude::*;
 
+use super::heights::Heights;
 use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
 use crate::pieces::Pieces;
 use crate::{Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
@@ -102,6 +103,28 @@ pub(crate) fn read_at(file: &File, buffer: &mut [u8], at: u64) -> std::io::Resul
     }
 }
 
+/// `$body` with `$read` the function from bytes to a value of the volume's type.
+macro_rules! with_sample {
+    ($dtype:expr, $big:expr, |$read:ident| $body:expr) => {
+        with_sample!(@ $dtype, $big, |$read| $body; U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64,
+            I64 i64, F32 f32, F64 f64)
+    };
+    (@ $dtype:expr, $big:expr, |$read:ident| $body:expr; $($variant:ident $t:ident),*) => {
+        match ($dtype, $big) {
+            $(
+                (Dtype::$variant, false) => {
+                    let $read = $t::from_le_bytes;
+                    $body
+                }
+                (Dtype::$variant, true) => {
+                    let $read = $t::from_be_bytes;
+                    $body
+                }
+            )*
+        }
+    };
+}
+
 /// Bytes of a volume's values.
 fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
     let voxels = dims.iter().try_fold(1u64, |n, &d| n.checked_mul(d));
@@ -136,6 +159,36 @@ pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
 
 /// NumPy: an array of shape (z, y, x).
 pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
+    Volume::new(path, npy_array(path, bytes)?.1, opts)
+}
+
+/// A NumPy array of two axes as heights, shape (row, column); None where it has three.
+pub(super) fn npy_heights(path: &Path, bytes: &[u8]) -> Result<Option<Heights>> {
+    let (2, stored) = npy_array(path, bytes)? else { return Ok(None) };
+    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data: Data::Slice(data), .. } = stored else {
+        unreachable!("an array that was not unpacked is a slice")
+    };
+    world_dims(path, [width, 1, height], "")?;
+    let mut out = Heights::new(width as u32, height as u32)?;
+    let n = width as usize;
+    with_sample!(dtype, big_endian, |read| {
+        let size = dtype.size() as usize;
+        let value = |x: usize, z: usize| {
+            let at = size * if z_fastest { x * height as usize + z } else { z * n + x };
+            read(data[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
+        };
+        // Some rows at a time, so that a large map is not in memory twice.
+        for z in (0..height as usize).step_by(64) {
+            let end = (z + 64).min(height as usize);
+            let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
+            out.put(0, z as u32, width as u32, &rows)?;
+        }
+    });
+    Ok(Some(out))
+}
+
+/// Number of axes, and the values, with one z where there are two.
+fn npy_array<'a>(path: &Path, bytes: &'a [u8]) -> Result<(usize, Stored<'a>)> {
     let fail = |at: usize, what: &str| Err(Error::format(path, format!("byte {at}: {what}")));
     if !bytes.starts_with(b"\x93NUMPY") {
         return fail(0, "expected the NPY signature \\x93NUMPY");
@@ -176,8 +229,10 @@ pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
     };
     let shape: Result<Vec<u64>, _> =
         shape.split(',').map(str::trim).filter(|s| !s.is_empty()).map(str::parse).collect();
-    let Ok(&[z, y, x]) = shape.as_deref() else {
-        return fail(text_at, "expected an array of three axes, shape (z, y, x)");
+    let (rank, [z, y, x]) = match shape.as_deref() {
+        Ok(&[y, x]) => (2, [1, y, x]),
+        Ok(&[z, y, x]) => (3, [z, y, x]),
+        _ => return fail(text_at, "expected an array of three axes, shape (z, y, x), or two, a height map"),
     };
     let dims = [x, y, z];
     let expected = byte_len(path, dims, dtype)?;
@@ -193,8 +248,7 @@ pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
         return fail(text_at, "fortran_order is neither True nor False");
     };
     let (big_endian, data) = (descr.starts_with('>'), Data::Slice(data));
-    let stored = Stored { dims, z_fastest, dtype, big_endian, scale: None, data, notes: Vec::new() };
-    Volume::new(path, stored, opts)
+    Ok((rank, Stored { dims, z_fastest, dtype, big_endian, scale: None, data, notes: Vec::new() }))
 }
 
 /// NRRD: text header, values raw or gzip, in the same file or a detached one.
@@ -381,11 +435,8 @@ pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Res
     let header = guarded(path, "NIfTI", || {
         nifti::NiftiHeader::from_reader(&*head).map_err(|e| Error::format(path, format!("NIfTI header: {e}")))
     })?;
-    if &header.magic != nifti::header::MAGIC_CODE_NIP1 {
-        return fail(
-            "byte 344: the header's values are in a second file (.hdr/.img); convert it to one .nii".to_owned(),
-        );
-    }
+    // "ni1": the values are in a file beside the header's.
+    let pair = (&header.magic != nifti::header::MAGIC_CODE_NIP1).then(|| path.with_extension("img"));
     let rank = header.dim[0] as usize;
     if !(1..=7).contains(&rank) {
         return fail(format!("byte 40: {rank} axes; expected 1 to 7"));
@@ -408,7 +459,7 @@ pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Res
         64 => Dtype::F64,
         other => return fail(format!("byte 70: values of NIfTI type {other}; expected integers, f32 or f64")),
     };
-    if !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) {
+    if !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) && !(pair.is_some() && header.vox_offset == 0.0) {
         return fail(format!("byte 108: values start at byte {}; expected 352 or later", header.vox_offset));
     }
     let start = header.vox_offset as u64;
@@ -418,7 +469,11 @@ pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Res
         let [x, y, z] = dims;
         Error::format(path, format!("{got} bytes; {x} × {y} × {z} values from byte {start} on expect {end}"))
     };
-    let data = if gz {
+    let data = if let Some(pair) = &pair {
+        let whole = map(pair)?;
+        let values = whole.get(start as usize..).and_then(|v| v.get(..expected as usize));
+        Data::Slice(values.ok_or_else(|| short(whole.len() as u64))?).in_file(pair, &whole)?
+    } else if gz {
         gunzip(path, bytes, start, end)?.map_err(short)?
     } else {
         let values = bytes.get(start as usize..).and_then(|v| v.get(..expected as usize));
@@ -480,28 +535,6 @@ fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data
     Ok(Ok(Data::File { path: path.to_owned(), file, at: start, len: end - start }))
 }
 
-/// `$body` with `$read` the function from bytes to a value of the volume's type.
-macro_rules! with_sample {
-    ($dtype:expr, $big:expr, |$read:ident| $body:expr) => {
-        with_sample!(@ $dtype, $big, |$read| $body; U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64,
-            I64 i64, F32 f32, F64 f64)
-    };
-    (@ $dtype:expr, $big:expr, |$read:ident| $body:expr; $($variant:ident $t:ident),*) => {
-        match ($dtype, $big) {
-            $(
-                (Dtype::$variant, false) => {
-                    let $read = $t::from_le_bytes;
-                    $body
-                }
-                (Dtype::$variant, true) => {
-                    let $read = $t::from_be_bytes;
-                    $body
-                }
-            )*
-        }
-    };
-}
-
 /// A stored value, as far as comparing goes.
 trait Sample: Copy + PartialOrd {
     fn to_f64(self) -> f64;
@@ -558,6 +591,21 @@ macro_rules! float_samples {
 }
 float_samples!(f32, f64);
 
+/// Writes all of `bytes` to `file` from `at` on.
+pub(crate) fn write_at(file: &File, bytes: &[u8], at: u64) -> std::io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::write_all_at(file, bytes, at);
+    #[cfg(windows)]
+    {
+        let (mut bytes, mut at) = (bytes, at);
+        while !bytes.is_empty() {
+            let n = std::os::windows::fs::FileExt::seek_write(file, bytes, at)?;
+            (bytes, at) = (&bytes[n..], at + n as u64);
+        }
+        Ok(())
+    }
+}
+
 /// Turns a row of stored values into bits, 1 where solid: bit `i % 64` of word `i / 64`.
 type Masks = Box<dyn Fn(&[u8], &mut [u64]) + Send + Sync>;
 
@@ -602,6 +650,19 @@ impl<'a> Volume<'a> {
         let Stored { dims: [x, y, z], z_fastest, data, notes, .. } = stored;
         let (stored, axes) = if z_fastest { ([z, y, x], axes.map(|a| 2 - a)) } else { ([x, y, z], axes) };
         Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes })
+    }
+
+    /// Of values that were unpacked into a file, in this machine's byte order.
+    pub(super) fn unpacked(
+        path: &Path,
+        file: File,
+        dims: [u64; 3],
+        dtype: Dtype,
+        opts: &ReadOptions,
+    ) -> Result<Volume<'static>> {
+        let data = Data::File { path: path.to_owned(), file, at: 0, len: byte_len(path, dims, dtype)? };
+        let notes = Vec::new();
+        Volume::new(path, Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes }, opts)
     }
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
