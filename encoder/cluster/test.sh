@@ -7,7 +7,7 @@ export PLANECAST=${PLANECAST:-$here/../../target/release/planecast-encode}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 cd "$work"
-input='procedural:menger?level=7'
+input='procedural:menger?level=6'
 "$PLANECAST" encode "$input" --encoding surface -o once.pcast
 
 python3 "$here/test_dask.py" "$PLANECAST" "$input" dask.pcast

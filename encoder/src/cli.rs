@@ -14,7 +14,9 @@ use crate::encode::{self, EncodeOptions, Summary, Watch};
 use crate::pieces::{Grey, Pieces};
 use crate::source::{self, ReadOptions};
 use crate::write::{keep_input, resolved};
-use crate::{BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, Scene, format, info, memory, verify};
+use crate::{
+    BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, Scene, format, info, memory, verify,
+};
 
 /// Exit status where the input, the scene or the machine was at fault.
 pub const EXIT_INPUT: u8 = 1;

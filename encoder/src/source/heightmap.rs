@@ -80,7 +80,8 @@ pub(super) fn mosaic(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
     }
     let west = tiles.iter().map(|t| t.1.corner[0]).fold(f64::INFINITY, f64::min);
     let north = tiles.iter().map(|t| t.1.corner[1]).fold(f64::NEG_INFINITY, f64::max);
-    let at = |place: &GeoPlace| [(place.corner[0] - west) / step[0], (north - place.corner[1]) / step[1]].map(f64::round);
+    let at =
+        |place: &GeoPlace| [(place.corner[0] - west) / step[0], (north - place.corner[1]) / step[1]].map(f64::round);
     let ends = tiles.iter().map(|(_, place, size)| [0, 1].map(|i| at(place)[i] + f64::from(size[i])));
     let [width, height] = ends.fold([0.0, 0.0], |a: [f64; 2], b| [a[0].max(b[0]), a[1].max(b[1])]);
     let dims = world_dims(path, [width as u64, 1, height as u64], "")?;

@@ -114,7 +114,8 @@ impl Voxelized {
         for (i, t) in triangles.iter().enumerate() {
             let zs = t.map(|v| positions[v as usize][2]);
             let cell = |z: f32| (z as u32).min(dims[2] - 1) / BAND;
-            let (first, last) = (zs.iter().copied().fold(f32::INFINITY, f32::min), zs.iter().copied().fold(0.0, f32::max));
+            let (first, last) =
+                (zs.iter().copied().fold(f32::INFINITY, f32::min), zs.iter().copied().fold(0.0, f32::max));
             for band in &mut bands[cell(first) as usize..=cell(last) as usize] {
                 band.push(i as u32);
             }
@@ -293,13 +294,17 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
                 };
                 let base = out.positions.len() as u32;
                 out.positions.extend(
-                    positions.map(|p| [0, 1, 2].map(|row| (0..3).map(|k| place[k][row] * p[k]).sum::<f32>() + place[3][row])),
+                    positions.map(|p| {
+                        [0, 1, 2].map(|row| (0..3).map(|k| place[k][row] * p[k]).sum::<f32>() + place[3][row])
+                    }),
                 );
                 let n = out.positions.len() - base as usize;
                 let [r, g, b, _] = primitive.material().pbr_metallic_roughness().base_color_factor();
                 let srgb = |c: [f32; 3]| c.map(|v| from_linear(v.into()));
                 match reader.read_colors(0) {
-                    Some(of) => out.colors.extend(of.into_rgb_f32().map(|c| srgb([c[0] * r, c[1] * g, c[2] * b])).take(n)),
+                    Some(of) => {
+                        out.colors.extend(of.into_rgb_f32().map(|c| srgb([c[0] * r, c[1] * g, c[2] * b])).take(n))
+                    }
                     None => out.colors.extend(std::iter::repeat_n(srgb([r, g, b]), n)),
                 }
                 out.colors.resize(out.positions.len(), [200; 3]);

@@ -207,7 +207,10 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         key
     });
     let Some(first) = files.first() else {
-        return Err(Error::format(path, "a folder without .tif files; expected the slices of a volume or tiles of a map"));
+        return Err(Error::format(
+            path,
+            "a folder without .tif files; expected the slices of a volume or tiles of a map",
+        ));
     };
     if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
         return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));

@@ -92,7 +92,9 @@ impl Values<'_> {
         }
         macro_rules! take {
             ($t:ty) => {{
-                let Some(Ok(bytes)) = self.bytes.get(self.at..self.at + size_of::<$t>()).map(<[u8; size_of::<$t>()]>::try_from) else {
+                let Some(Ok(bytes)) =
+                    self.bytes.get(self.at..self.at + size_of::<$t>()).map(<[u8; size_of::<$t>()]>::try_from)
+                else {
                     return self.fail("the file ends among its values");
                 };
                 self.at += bytes.len();

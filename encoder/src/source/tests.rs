@@ -279,7 +279,7 @@ fn npy_refuses_what_is_no_volume() {
     let good = npy_file("|u1", "False", "2, 3, 4", &[1; 24]);
     refuses_every_prefix("a.npy", &good, "");
     survives_changed_bytes("a.npy", &good, "");
-    assert!(error("a.npy", &npy_file("|u1", "False", "6, 4", &[1; 24]), "").contains("three axes"));
+    assert!(error("a.npy", &npy_file("|u1", "False", "24,", &[1; 24]), "").contains("three axes"));
     assert!(error("a.npy", &npy_file("<c8", "False", "1, 1, 3", &[1; 24]), "").contains("\"<c8\""));
     let e = error("a.npy", &npy_file("|u1", "True", "1048576, 1048576, 1048576", &[1; 24]), "");
     assert!(e.contains("expects 1152921504606846976"), "{e}");
@@ -417,8 +417,10 @@ fn heightmap_colours_are_those_of_the_nearest_pixel() {
     let read_with = |image: image::GrayImage| {
         let f = file("h.png", &png(image));
         let o = ReadOptions { colors: Some(colors.1.clone()), ..ReadOptions::default() };
-        let Colors::Column(c) = open(&f.1, &o).unwrap().colors else { panic!("no colours") };
-        c.iter().map(|c: &Rgb| c[0]).collect::<Vec<_>>()
+        let map = open(&f.1, &o).unwrap();
+        let Colors::Function(color) = map.colors else { panic!("no colours") };
+        let [nx, _, nz] = map.columns.dims();
+        (0..nx * nz).map(|i| color(i % nx, 0, i / nx)[0]).collect::<Vec<_>>()
     };
     assert_eq!(read_with(image::GrayImage::new(4, 2)), [0, 10, 20, 30, 0, 10, 20, 30]);
     assert_eq!(read_with(image::GrayImage::new(2, 1)), [10, 30]);
@@ -1014,4 +1016,177 @@ fn iso_values_are_met_by_every_value_of_small_types() {
         let expected = (i16::MIN..=i16::MAX).filter(|&v| f64::from(v) >= iso).count() as u64;
         assert_eq!(solid(&wide, "--dims 256,1,256 --dtype i16"), expected, "i16 {iso}");
     }
+}
+
+// Meshes and points.
+
+/// A square from (0, 0, 0) to (8, 8, 0) with a triangle that stands on it, in three forms of PLY.
+fn ply(form: &str) -> Vec<u8> {
+    let vertices = [[0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [8.0, 8.0, 0.0], [0.0, 8.0, 0.0], [1.0, 1.0, 4.0]];
+    let faces: [&[i32]; 2] = [&[0, 1, 2, 3], &[0, 2, 4]];
+    let mut out = format!(
+        "ply\nformat {form} 1.0\ncomment made for a test\nelement vertex 5\nproperty float x\nproperty double y\n\
+         property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
+         property list uchar int vertex_indices\nend_header\n"
+    )
+    .into_bytes();
+    let big = form == "binary_big_endian";
+    let mut number = |text: String, little: &[u8]| match form {
+        "ascii" => out.extend(format!("{text} ").bytes()),
+        _ if big => out.extend(little.iter().rev()),
+        _ => out.extend(little),
+    };
+    for (i, [x, y, z]) in vertices.into_iter().enumerate() {
+        number(x.to_string(), &(x as f32).to_le_bytes());
+        number(y.to_string(), &f64::to_le_bytes(y));
+        number(z.to_string(), &(z as f32).to_le_bytes());
+        [10 * i as u8, 20, 255].map(|c| number(c.to_string(), &[c]));
+    }
+    for face in faces {
+        number(face.len().to_string(), &[face.len() as u8]);
+        face.iter().for_each(|i| number(i.to_string(), &i.to_le_bytes()));
+    }
+    out
+}
+
+#[test]
+fn ply_forms_give_the_same_mesh_and_damage_is_no_panic() {
+    let text = read("m", &ply("ascii"), "--size 16");
+    for form in ["binary_little_endian", "binary_big_endian"] {
+        let bytes = ply(form);
+        assert_eq!(read("m", &bytes, "--size 16").columns, text.columns, "{form}");
+        assert_eq!(read("m.ply.gz", &gzip(&bytes), "--size 16").columns, text.columns, "{form}");
+        refuses_every_prefix("m", &bytes, "--size 16");
+        survives_changed_bytes("m", &bytes, "--size 16");
+    }
+    let crlf = String::from_utf8(ply("ascii")).unwrap().replace('\n', "\r\n");
+    assert_eq!(read("m", crlf.as_bytes(), "--size 16").columns, text.columns);
+    let Colors::Voxel { entries, .. } = &text.colors else { panic!("no colours") };
+    assert!(entries.iter().all(|(_, [_, g, b])| (*g, *b) == (20, 255)), "colours of corners that agree are kept");
+}
+
+#[test]
+fn mesh_voxels_are_those_that_a_triangle_touches() {
+    // Against a triangle sampled far more finely than voxels: each sample's voxel is solid, and each solid voxel is near
+    // a sample.
+    let corners = [[0.0, 0.0, 0.0], [30.0, 11.0, 7.0], [4.0, 25.0, 19.0f64]];
+    let mut obj = corners.map(|[x, y, z]| format!("v {x} {y} {z}\n")).concat();
+    obj += "f 1 2 3\n";
+    let c = read("t.obj", obj.as_bytes(), "--size 30").columns;
+    assert_eq!(c.dims(), [30, 25, 19]);
+    let n = 600;
+    let mut touched = std::collections::HashSet::new();
+    for (i, j) in (0..=n).flat_map(|i| (0..=n - i).map(move |j| (i, j))) {
+        let (u, v) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
+        let p = [0, 1, 2].map(|a| u * corners[1][a] + v * corners[2][a]);
+        let at = [0, 1, 2].map(|a| (p[a] as u32).min(c.dims()[a] - 1));
+        let inside = (0..3).all(|a| (p[a] - p[a].round()).abs() > 1e-4);
+        assert!(!inside || c.find(at[0], at[1], at[2]).is_some(), "{p:?}");
+        touched.insert(at);
+    }
+    let solid = c.voxels();
+    assert!(solid >= touched.len() as u64 && solid < touched.len() as u64 * 11 / 10, "{solid} {}", touched.len());
+}
+
+#[test]
+fn mesh_formats_agree_and_pieces_are_cut_out_of_the_whole() {
+    let obj = "v 0 0 0\nv 40 0 3\nv 5 33 300\nv 39 30 299\nf 1 2 3\nf 2 3 4\n";
+    let whole = read("m.obj", obj.as_bytes(), "--size 300").columns;
+    let stl = "solid m\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 40 0 3\nvertex 5 33 300\nendloop\nendfacet\n\
+               facet normal 0 0 1\nouter loop\nvertex 40 0 3\nvertex 5 33 300\nvertex 39 30 299\nendloop\nendfacet\nendsolid m\n";
+    assert_eq!(read("m.stl", stl.as_bytes(), "--size 300").columns, whole);
+    let file = file("m.obj", obj.as_bytes());
+    let pieces = open_pieces(&file.1, &opts("--size 300")).unwrap();
+    for (xs, zs) in [(0..40, 0..300), (3..17, 31..65), (39..40, 299..300)] {
+        assert_eq!(pieces.piece(xs.clone(), zs.clone()).unwrap().columns, whole.crop(xs, zs));
+    }
+    assert!(error("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "").contains("no faces"));
+    assert!(error("m.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "").contains("finite"));
+}
+
+#[test]
+fn points_without_faces_are_a_voxel_each() {
+    let cloud = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                  end_header\n0 0 0\n2.5 1 0\n4 0 7.9\n";
+    let c = read("p.ply", cloud, "--voxel 1").columns;
+    assert_eq!((c.dims(), c.voxels()), ([5, 2, 8], 3));
+    assert!([(0, 0, 0), (2, 1, 0), (4, 0, 7)].iter().all(|&(x, y, z)| c.solid(x, y, z)));
+}
+
+#[test]
+fn las_points_stand_on_z_with_their_colours() {
+    let mut builder = las::Builder::from((1, 2));
+    builder.point_format = las::point::Format::new(2).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("p.las");
+    let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+    for (x, y, z, red) in [(0.0, 0.0, 0.0, 65_535), (3.0, 1.0, 9.0, 257)] {
+        let color = Some(las::Color::new(red, 0, 0));
+        writer.write_point(las::Point { x, y, z, color, ..Default::default() }).unwrap();
+    }
+    writer.close().unwrap();
+    let input = open(&path, &opts("--voxel 1")).unwrap();
+    assert_eq!((input.columns.dims(), input.columns.voxels()), ([4, 10, 2], 2));
+    // North (y up in the file) is away: world z is 1 − y.
+    assert!(input.columns.solid(0, 0, 1) && input.columns.solid(3, 9, 0));
+    let Colors::Voxel { entries, .. } = input.colors else { panic!("no colours") };
+    assert_eq!(entries, [(9, [1, 0, 0]), (0, [255, 0, 0])]);
+    fs::write(&path, b"LASF but no more").unwrap();
+    assert!(open(&path, &opts("")).err().unwrap().to_string().contains("LAS: "));
+}
+
+#[test]
+fn npy_of_two_axes_is_a_height_map() {
+    let data = bytes_of((0..6i16).map(|v| (v * 2).to_le_bytes()).collect());
+    let map = read("h.npy", &npy_file("<i2", "False", "2, 3", &data), "--height-scale 1");
+    assert_eq!(heights(&map), [0, 2, 4, 6, 8, 10].map(Some));
+    let turned = bytes_of([0, 3, 1, 4, 2, 5i16].map(|v| (v * 2).to_le_bytes()).to_vec());
+    let map = read("h.npy", &npy_file("<i2", "True", "2, 3", &turned), "--height-scale 1");
+    assert_eq!(heights(&map), [0, 2, 4, 6, 8, 10].map(Some));
+}
+
+#[test]
+fn tiff_folders_are_stacks_by_number_or_mosaics_by_place() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, value) in [("s2.tif", 5), ("s10.tif", 0), ("s1.tif", 7)] {
+        fs::write(dir.path().join(name), tiled_tiff(4, 3, &[value; 12], &[])).unwrap();
+    }
+    let stack = open(dir.path(), &opts("--iso 1")).unwrap().columns;
+    assert_eq!((stack.dims(), stack.voxels()), ([4, 3, 3], 24));
+    assert!(stack.solid(0, 0, 0) && stack.solid(3, 2, 1) && !stack.solid(0, 0, 2));
+    fs::write(dir.path().join("s3.tif"), tiled_tiff(5, 3, &[1; 15], &[])).unwrap();
+    assert!(open(dir.path(), &opts("--iso 1")).err().unwrap().to_string().contains("page 2 of the stack is"));
+
+    const DOUBLE: u16 = 12;
+    let doubles = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let dir = tempfile::tempdir().unwrap();
+    for (name, x, y, value) in [("a.tif", 100.0, 50.0, 3), ("b.tif", 110.0, 45.0, 8)] {
+        let geo = [(33_550, DOUBLE, doubles(&[2.5, 2.5, 0.0])), (33_922, DOUBLE, doubles(&[0.0, 0.0, 0.0, x, y, 0.0]))];
+        fs::write(dir.path().join(name), tiled_tiff(4, 2, &[value; 8], &geo)).unwrap();
+    }
+    let map = open(dir.path(), &opts("--height-scale 1")).unwrap();
+    assert_eq!([map.columns.nx(), map.columns.nz()], [8, 4]);
+    let expected: Vec<Option<u16>> = (0..32)
+        .map(|i| match (i % 8 / 4, i / 8 / 2) {
+            (0, 0) => Some(3),
+            (1, 1) => Some(8),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(heights(&map), expected);
+}
+
+#[test]
+fn nifti_pairs_are_read_from_both_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = nifti_file([70, 5, 9], 4, [0.0, 0.0], &bytes_of(values(|v| (v as i16).to_le_bytes())));
+    let mut header = whole[..348].to_vec();
+    header[344..348].copy_from_slice(b"ni1\0");
+    header[108..112].copy_from_slice(&0f32.to_le_bytes());
+    fs::write(dir.path().join("a.hdr"), header).unwrap();
+    assert!(
+        open(&dir.path().join("a.hdr"), &opts("--iso 20")).err().unwrap().to_string().contains("a.img: cannot open")
+    );
+    fs::write(dir.path().join("a.img"), &whole[352..]).unwrap();
+    assert_volume(&open(&dir.path().join("a.hdr"), &opts("--iso 20")).unwrap(), Up::Y, |x, y, z| value(x, y, z) >= 20);
 }
