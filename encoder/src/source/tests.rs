@@ -1040,7 +1040,7 @@ fn ply(form: &str) -> Vec<u8> {
         number(x.to_string(), &(x as f32).to_le_bytes());
         number(y.to_string(), &f64::to_le_bytes(y));
         number(z.to_string(), &(z as f32).to_le_bytes());
-        [10 * i as u8, 20, 255].map(|c| number(c.to_string(), &[c]));
+        [10 * i as u8, 20, 255].iter().for_each(|c| number(c.to_string(), &[*c]));
     }
     for face in faces {
         number(face.len().to_string(), &[face.len() as u8]);
