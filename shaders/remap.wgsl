@@ -26,7 +26,8 @@ const MISS: f32 = -1.0;
 fn enter(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
     let l = u32(voxel.w);
     let lower = vec3<f32>((voxel.xyz << vec3(l)) - frame.eye_cell) - frame.eye_fract;
-    let upper = lower + f32(1u << l);
+    // From whole numbers: a sum with the other face would lose one at hand.
+    let upper = vec3<f32>(((voxel.xyz + vec3(1)) << vec3(l)) - frame.eye_cell) - frame.eye_fract;
     let a = lower * inverse;
     let b = upper * inverse;
     let near3 = min(a, b);

@@ -15,9 +15,19 @@ use planecast_encoder::write::{keep_input, resolved};
 use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
 use serde_json::json;
 
+#[cfg(feature = "report")]
+use crate::bench::{
+    self,
+    parts::{Extent, Part},
+};
 use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::path::{Path, Pose};
+use crate::preset::Preset;
+#[cfg(feature = "report")]
+use crate::report;
+#[cfg(feature = "report")]
+use crate::stability;
 use crate::tour::{self, View};
 use crate::{
     Camera, Culling, Error, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
@@ -44,6 +54,10 @@ pub enum Command {
     Fly(FlyArgs),
     Pick(PickArgs),
     Demo(DemoArgs),
+    #[cfg(feature = "report")]
+    Bench(BenchArgs),
+    #[cfg(feature = "report")]
+    Report(ReportArgs),
 }
 
 /// Draw one picture of a scene
@@ -145,6 +159,81 @@ pub struct DemoArgs {
     output: PathBuf,
 }
 
+/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
+///
+/// Leaves CSV, JSON, plots and one page (bench.html) in a folder. A run that was stopped goes on: the same command again.
+#[cfg(feature = "report")]
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Folder for the files; made if it is not there
+    #[arg(short, long, value_name = "DIR", default_value = "bench")]
+    output: PathBuf,
+    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
+    #[arg(long)]
+    quick: bool,
+    /// Parts to measure [default: all]
+    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
+    only: Vec<Part>,
+    /// What draws beside the CPU
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: bench::Device,
+    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
+    /// serpent or city
+    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
+    scene: Vec<(bench::scenes::Name, PathBuf)>,
+}
+
+/// Measure error against time: which flags give which error in how long, on this machine and scene
+///
+/// Leaves report.html, report.csv, report.json, plots (SVG) and pictures (PNG) in a folder. What is measured is kept there
+/// at once: a run that was stopped goes on when it is typed again.
+#[cfg(feature = "report")]
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// Scene file (.pcast)
+    #[arg(required_unless_present = "stability", conflicts_with = "stability")]
+    scene: Option<PathBuf>,
+    /// Instead of a scene, draw the catalogue of stiff and extreme cases: stability.json, .csv, .md and plots
+    #[arg(long)]
+    stability: bool,
+    /// Folder for the report; made if it is not there
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Fewer configurations, poses and pixels: a minute or two
+    #[arg(long)]
+    quick: bool,
+    /// Look along the keyframes in this file [default: standing poses over the scene]
+    #[arg(long, value_name = "P.json")]
+    path: Option<PathBuf>,
+    /// Pictures' width and height, pixels [default: 640x480, with --quick 320x240]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
+    /// Times that each configuration is timed at each pose [default: 5, with --quick 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rounds: Option<u32>,
+    /// Vertical field of view, degrees
+    #[arg(long, value_name = "D", value_parser = fov, default_value = "60")]
+    fov: f64,
+    /// What is measured beside the CPU: auto takes a real GPU where one is usable, gpu any
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: Device,
+    /// Columns farther away than this are not drawn, voxels [default: no limit]
+    #[arg(long, value_name = "V", value_parser = positive)]
+    view_distance: Option<f64>,
+    /// Tile the world without end along these axes
+    #[arg(long, value_enum, value_name = "AXES", default_value = "none")]
+    repeat: RepeatArg,
+    /// Choose: the least error that takes at most this long a frame
+    #[arg(long, value_name = "T", value_parser = positive)]
+    budget_ms: Option<f64>,
+    /// Choose: the fastest whose mean FLIP against one exact ray a pixel is at most this (0 to 1)
+    #[arg(long, value_name = "E", value_parser = positive)]
+    max_error: Option<f64>,
+    /// Threads to draw with [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
 /// How to draw, for pictures and films alike.
 #[derive(Debug, Args)]
 pub struct DrawArgs {
@@ -166,6 +255,9 @@ pub struct DrawArgs {
     /// Pixels that a voxel may cover at most before a finer level is drawn; off draws level 0 everywhere
     #[arg(long, value_name = "PX|off", value_parser = lod, default_value = "1")]
     lod: Lod,
+    /// Speed against error as a whole, in place of --planes, --lod and --remap
+    #[arg(long, value_enum, value_name = "PRESET", conflicts_with_all = ["planes", "lod", "remap"])]
+    preset: Option<Preset>,
     /// Planes to cast: a number, auto (one a pixel) or a percentage of auto
     #[arg(long, value_name = "N|auto|FACTOR%", value_parser = planes, default_value = "auto")]
     planes: Planes,
@@ -184,9 +276,15 @@ pub struct DrawArgs {
     /// Leave pixels that no plane reaches open
     #[arg(long)]
     no_gap_fill: bool,
+    /// Walk planes in f64, on the CPU alone
+    #[arg(long)]
+    f64: bool,
     /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both
     #[arg(long, value_enum, value_name = "SHADING", default_value = "full")]
     shading: ShadingArg,
+    /// Neighbours that occlusion is taken from, 1 to 64; other than the default on the CPU alone
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64), default_value = "10")]
+    ssao_samples: u32,
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
@@ -204,6 +302,12 @@ enum RepeatArg {
     X,
     Z,
     Xz,
+}
+
+impl RepeatArg {
+    fn axes(self) -> Repeat {
+        Repeat { x: matches!(self, RepeatArg::X | RepeatArg::Xz), z: matches!(self, RepeatArg::Z | RepeatArg::Xz) }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -315,7 +419,7 @@ fn culling(s: &str) -> Result<Culling, String> {
 
 impl DrawArgs {
     fn options(&self) -> Options {
-        Options {
+        let options = Options {
             view_distance: self.view_distance.unwrap_or(f64::INFINITY),
             repeat: self.repeat(),
             lod: self.lod.0,
@@ -334,15 +438,15 @@ impl DrawArgs {
                 ShadingArg::Ssao => Shading::Ssao,
                 ShadingArg::Full => Shading::Full,
             },
+            f64_traversal: self.f64,
+            ssao_samples: self.ssao_samples,
             fog: self.fog,
-        }
+        };
+        self.preset.map_or(options, |preset| preset.options(options))
     }
 
     fn repeat(&self) -> Repeat {
-        Repeat {
-            x: matches!(self.repeat, RepeatArg::X | RepeatArg::Xz),
-            z: matches!(self.repeat, RepeatArg::Z | RepeatArg::Xz),
-        }
+        self.repeat.axes()
     }
 
     fn view(&self, size: [u32; 2]) -> View {
@@ -356,11 +460,15 @@ impl DrawArgs {
     }
 
     fn set_threads(&self) -> Result<()> {
-        let Some(n) = self.threads else { return Ok(()) };
-        // Fails only if the pool was used before, which main() does not.
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(n.into());
-        pool.build_global().map_err(|e| Error::Limit(format!("--threads {n}: {e}")))
+        set_threads(self.threads)
     }
+}
+
+fn set_threads(threads: Option<u16>) -> Result<()> {
+    let Some(n) = threads else { return Ok(()) };
+    // Fails only if the pool was used before, which main() does not.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(n.into());
+    pool.build_global().map_err(|e| Error::Limit(format!("--threads {n}: {e}")))
 }
 
 fn tell(what: &str) {
@@ -501,6 +609,63 @@ impl FlyArgs {
     }
 }
 
+#[cfg(feature = "report")]
+impl BenchArgs {
+    fn run(&self) -> Result<()> {
+        let settings = bench::Settings {
+            output: self.output.clone(),
+            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
+            device: self.device,
+            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
+            files: self.scene.iter().cloned().collect(),
+        };
+        bench::run(&settings, &mut tell)
+    }
+}
+
+#[cfg(feature = "report")]
+impl ReportArgs {
+    fn run(&self) -> Result<()> {
+        set_threads(self.threads)?;
+        let Some(scene) = &self.scene else {
+            return self.stability();
+        };
+        let path = self.path.as_ref().map(|file| Path::read(file, self.fov)).transpose()?;
+        let job = report::Job {
+            folder: &self.output,
+            quick: self.quick,
+            path: path.as_ref(),
+            size: self.size,
+            rounds: self.rounds,
+            fov: self.fov,
+            device: self.device,
+            base: Options {
+                view_distance: self.view_distance.unwrap_or(f64::INFINITY),
+                repeat: self.repeat.axes(),
+                ..Options::default()
+            },
+            budget_ms: self.budget_ms,
+            max_error: self.max_error,
+        };
+        let choice = report::report(scene, &job, &mut tell)?;
+        choice.map_or(Ok(()), |text| print(&(text + "\n")))
+    }
+
+    fn stability(&self) -> Result<()> {
+        std::fs::create_dir_all(&self.output).map_err(|e| FileError::io(&self.output, "make", e))?;
+        let rows = stability::run(self.device, &mut tell)?;
+        report::present::write(&self.output, &stability::present::files(&rows))?;
+        match rows.iter().filter(|r| !r.faults.is_empty()).count() {
+            0 => Ok(()),
+            n => Err(Error::Limit(format!(
+                "{n} of {} rows are out of their bounds; {} says which",
+                rows.len(),
+                self.output.join("stability.md").display()
+            ))),
+        }
+    }
+}
+
 /// A flag that Ctrl-C sets; a second one ends the program at once.
 fn stop_on_ctrl_c() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
@@ -555,6 +720,10 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Fly(args) => args.run(),
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),
+        #[cfg(feature = "report")]
+        Command::Bench(args) => args.run(),
+        #[cfg(feature = "report")]
+        Command::Report(args) => args.run(),
     })
 }
 
@@ -651,7 +820,7 @@ mod tests {
         let usual = render("").draw.options();
         assert_eq!(usual, Options::default());
         let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --cull horizon,bits \
-                   --equidistant 900 --remap nearest --no-gap-fill --shading ssao --fog 2500";
+                   --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500";
         let expected = Options {
             view_distance: 40_000.0,
             repeat: Repeat { x: true, z: true },
@@ -662,11 +831,40 @@ mod tests {
             equidistant: Some(900.0),
             remap: Remap::Nearest,
             gap_fill: false,
+            f64_traversal: true,
             shading: Shading::Ssao,
+            ssao_samples: 5,
             fog: Some(2500.0),
         };
         assert_eq!(render(all).draw.options(), expected);
         assert_eq!(render("--planes 77 --lod 2.5 --cull none").draw.options().planes, Planes::Count(77));
+    }
+
+    #[test]
+    fn cli_presets_stand_in_place_of_their_flags() {
+        for preset in Preset::ALL {
+            let flags = format!("--preset {} --cull none", preset.name());
+            let expected = preset.options(Options { culling: Culling::NONE, ..Options::default() });
+            assert_eq!(render(&flags).draw.options(), expected);
+            assert!(refused(&format!("{flags} --lod 2")).contains("cannot be used with"));
+        }
+    }
+
+    #[cfg(feature = "report")]
+    #[test]
+    fn cli_flags_of_a_report_draw_what_it_measured() {
+        use crate::report::sweep::{Backend, configs};
+        for config in configs(512, &Options::default(), &["workgroup"], false) {
+            let Some(flags) = config.flags() else { continue };
+            let args = render(&flags);
+            assert_eq!(args.draw.options(), config.options, "{flags}");
+            let device = match config.backend {
+                Backend::Gpu(_) => Device::Gpu,
+                Backend::Exact => Device::Exact,
+                _ => Device::Cpu,
+            };
+            assert_eq!(args.draw.device, device, "{flags}");
+        }
     }
 
     #[test]

@@ -75,18 +75,24 @@ impl<'a> Renderer<'a> {
             },
             Device::Gpu => open_gpu(scene, resident, kernel, false)?,
         };
-        let renderer = Renderer {
+        #[cfg(feature = "gpu")]
+        if let (Backend::Gpu(gpu), Device::Auto) = (&backend, device) {
+            tell(&format!("drawing on the gpu: {}", gpu.device().0));
+        }
+        Ok(Renderer {
             backend,
             #[cfg(feature = "gpu")]
             fall_back: (device == Device::Auto).then_some((scene, resident)),
             #[cfg(feature = "gpu")]
             ahead: Ahead::new(),
-        };
-        #[cfg(feature = "gpu")]
-        if let (Backend::Gpu(gpu), Device::Auto) = (&renderer.backend, device) {
-            tell(&format!("drawing on the gpu: {}", gpu.device().0));
-        }
-        Ok(renderer)
+        })
+    }
+
+    /// Draws on a GPU that is open already, and goes on with the CPU where it fails, as `auto` does.
+    #[cfg(feature = "gpu")]
+    pub fn on_gpu(gpu: GpuRenderer<'a>) -> Renderer<'a> {
+        let fall_back = Some(gpu.draws());
+        Renderer { backend: Backend::Gpu(Box::new(gpu)), fall_back, ahead: Ahead::new() }
     }
 
     /// Draws one frame. After `auto`, a GPU that fails is replaced by the CPU for good, and `tell` hears why.
@@ -144,6 +150,28 @@ impl<'a> Renderer<'a> {
         let (planes_readjusted, traverse_readjusted) = draw(true)?;
         let saves = SpacingSaves { planes_readjusted, planes_full, traverse_readjusted, traverse_full };
         Ok((planes_readjusted != planes_full).then_some(saves))
+    }
+
+    /// The GPU's adapter and driver, where it draws.
+    pub fn adapter(&self) -> Option<String> {
+        #[cfg(feature = "gpu")]
+        if let Backend::Gpu(gpu) = &self.backend {
+            let (name, driver) = gpu.device();
+            return Some(format!("{name} ({driver})"));
+        }
+        None
+    }
+
+    /// Names of the GPU's kernels, the usual one first.
+    pub fn gpu_kernels() -> Vec<&'static str> {
+        #[cfg(feature = "gpu")]
+        {
+            let usual = GpuOptions::default().kernel;
+            let others = Kernel::ALL.into_iter().filter(|k| *k != usual);
+            [usual].into_iter().chain(others).map(Kernel::name).collect()
+        }
+        #[cfg(not(feature = "gpu"))]
+        Vec::new()
     }
 
     /// The name of what draws, for records.

@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::options::Options;
-use crate::plane_setup::REPEATED_VIEW_DISTANCE;
+use crate::plane_setup::{FARTHEST_VIEW, REPEATED_VIEW_DISTANCE};
 use crate::resident::Resident;
 use glam::DVec3;
 use planecast_encoder::{Columns, Scene};
@@ -66,6 +66,11 @@ pub fn cast(columns: &Columns, repeats: [bool; 2], eye: DVec3, dir: DVec3, t_max
             entered = Some(axis);
         }
         t_end = f64::min(t_end, (far - o) / d);
+    }
+    // Far above or below the world there is nothing to walk through; a voxel short of it, no rounding can matter.
+    let nearby = if dir.y > 0.0 { (-1.0 - eye.y) / dir.y } else { (f64::from(columns.ny()) + 1.0 - eye.y) / dir.y };
+    if dir.y != 0.0 && nearby > t0 {
+        (t0, entered) = (nearby, None);
     }
     let mut cell = [0i64; 2];
     for axis in 0..2 {
@@ -172,7 +177,7 @@ pub fn exact(
     let columns = scene.levels[0].geometry(scene.encoding);
     let repeats = [options.repeat.x, options.repeat.z];
     let view = if options.view_distance.is_finite() || repeats == [false, false] {
-        options.view_distance
+        options.view_distance.min(if repeats == [false, false] { f64::INFINITY } else { FARTHEST_VIEW })
     } else {
         REPEATED_VIEW_DISTANCE
     };

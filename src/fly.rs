@@ -460,7 +460,7 @@ mod tests {
         let film = Film { output: &out, cameras: &cameras, fps: 25.0, resume: false, source: Value::Null, stop: &stop };
         let error = fly(&film, &mut |c| match c[0].eye.x {
             1.0 => Err(Error::Limit("too far".into())),
-            _ => Ok(picture(c)),
+            _ => Ok(picture(&c[0])),
         });
         assert_eq!(error.unwrap_err().to_string(), "too far");
         assert!(names(&out).iter().all(|n| is_part(n)), "no half file");

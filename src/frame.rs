@@ -15,7 +15,7 @@ pub struct Frame {
 }
 
 /// Milliseconds by stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct StageTimes {
     pub setup: f64,
     pub traverse: f64,

@@ -40,8 +40,11 @@
 //! At pitch 0 and roll 0 planes are pixel columns and differ from [`exact`] by rounding alone; elsewhere a pixel shows what
 //! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]). Culling never changes a picture.
 
+#[cfg(feature = "report")]
+pub mod bench;
 pub mod camera;
 pub mod cli;
+pub mod compare;
 pub mod cpu;
 pub mod demo;
 pub mod device;
@@ -51,13 +54,23 @@ pub mod fly;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "report")]
+pub mod machine;
 pub mod options;
 pub mod output;
+#[cfg(feature = "report")]
+pub mod page;
 pub mod path;
 pub mod pick;
 pub mod plane_setup;
+#[cfg(feature = "report")]
+pub mod plot;
+pub mod preset;
 pub mod renderer;
+#[cfg(feature = "report")]
+pub mod report;
 pub mod resident;
+pub mod stability;
 pub mod tour;
 pub mod video;
 

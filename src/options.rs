@@ -1,5 +1,10 @@
 //! What a picture is drawn with.
 
+use crate::cpu::shade::SSAO_SAMPLES;
+
+/// Neighbours that occlusion may look at.
+pub const SSAO_SAMPLES_LIMIT: u32 = 64;
+
 /// Which worlds repeat: the scene is tiled without end along the axes named.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Repeat {
@@ -75,7 +80,12 @@ pub struct Options {
     pub equidistant: Option<f64>,
     pub remap: Remap,
     pub gap_fill: bool,
+    /// Walk planes in f64 instead of f32: what rounding costs. On the CPU alone.
+    pub f64_traversal: bool,
     pub shading: Shading,
+    /// Neighbours that a pixel's occlusion is taken from, 1 to [`SSAO_SAMPLES_LIMIT`]; the GPU has its own fixed number,
+    /// which is the default.
+    pub ssao_samples: u32,
     /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
     pub fog: Option<f64>,
 }
@@ -92,7 +102,9 @@ impl Default for Options {
             equidistant: None,
             remap: Remap::Retest,
             gap_fill: true,
+            f64_traversal: false,
             shading: Shading::Full,
+            ssao_samples: SSAO_SAMPLES,
             fog: None,
         }
     }

@@ -21,6 +21,10 @@ use glam::DVec3;
 /// View distance of a repeated world if none is given, in voxels (the paper's).
 pub const REPEATED_VIEW_DISTANCE: f64 = 40_000.0;
 
+/// A repeated world is drawn this far at most, in voxels: column numbers are i32, and crossings beyond no longer tell
+/// columns apart.
+pub const FARTHEST_VIEW: f64 = 1e9;
+
 /// The eye may stand this far from the origin along an axis that does not repeat, and above or below the world.
 pub const EYE_LIMIT: f64 = (1 << 30) as f64;
 
@@ -48,6 +52,8 @@ pub struct Setup {
     pub levels: u32,
     /// See [`Options::equidistant`].
     pub equidistant: f64,
+    /// See [`Options::view_distance`]; finite where the world repeats.
+    pub view_distance: f64,
 }
 
 /// Planes towards one screen edge.
@@ -212,10 +218,26 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
         repeats: [options.repeat.x, options.repeat.z],
         levels: world.levels,
         equidistant: options.equidistant.unwrap_or(f64::INFINITY),
+        view_distance: world.view_distance,
     }
 }
 
 impl Setup {
+    /// At most so many columns the walk of `plane` looks at. Of level `l` it walks the part between the distances where that
+    /// level begins and ends. A part of length `T` crosses at most `⌈T·|x| / 2ˡ⌉` grid planes along x and as many along z,
+    /// and looks at one column more than it crosses; the ends can be cut in two by a change of level or a rounding. So a
+    /// walk ends, however its numbers round.
+    pub fn step_bound(&self, plane: &Plane) -> u64 {
+        let begin = |l: u32| if l > plane.lod_first { plane.lod_t * f64::from(1u32 << l) } else { plane.t_start };
+        let part = |l: u32| {
+            let from = begin(l).max(plane.t_start);
+            let to = if l + 1 < self.levels { begin(l + 1).min(plane.t_end) } else { plane.t_end };
+            let crossed = |d: f64| ((to - from) * d.abs() / f64::from(1u32 << l)).ceil() as u64;
+            if to > from { crossed(plane.dir[0]) + crossed(plane.dir[1]) + 6 } else { 0 }
+        };
+        (plane.lod_first..self.levels).map(part).sum()
+    }
+
     /// Whether fewer planes were asked for than reach every pixel, so that there are gaps to fill.
     pub fn is_sparse(&self) -> bool {
         self.fans.iter().any(|f| f.n_planes > 0 && f.spacing > 1.0)
@@ -443,8 +465,11 @@ impl World {
         let (z, fz) = reduce(1, camera.eye.z, nz, options.repeat.z);
         let y = camera.eye.y.floor();
         let repeats = options.repeat.x || options.repeat.z;
-        let view_distance =
-            if options.view_distance.is_finite() || !repeats { options.view_distance } else { REPEATED_VIEW_DISTANCE };
+        let view_distance = match (options.view_distance, repeats) {
+            (view, false) => view,
+            (view, true) if view.is_finite() => view.min(FARTHEST_VIEW),
+            _ => REPEATED_VIEW_DISTANCE,
+        };
         // A level whose cells do not divide a repeated extent would straddle the seam.
         let fits = |k: u32| {
             (!options.repeat.x || nx.is_multiple_of(1 << k)) && (!options.repeat.z || nz.is_multiple_of(1 << k))
@@ -488,6 +513,11 @@ impl World {
             }
             t_end = f64::min(t_end, (far - eye) / d);
         }
+        let (from, to) = self.sight(plane);
+        t_end = t_end.min(to);
+        if from.min(t_end) > t_start {
+            (t_start, entered) = (from.min(t_end), None);
+        }
         plane.t_start = t_start;
         plane.t_end = t_end.max(t_start);
         for axis in 0..2 {
@@ -506,6 +536,49 @@ impl World {
                 None => cell as i32,
             };
         }
+    }
+
+    /// The distances between which a sample's sight line lies within the heights of the world, whatever is drawn. Far above
+    /// or below the world there is nothing to walk through for long; beyond where the sight line nearest to level has left
+    /// it, nothing more can show.
+    fn sight(&self, plane: &Plane) -> (f64, f64) {
+        let bottom = self.heights.iter().fold(f64::INFINITY, |b, h| b.min(h.0));
+        let top = self.heights.iter().fold(f64::NEG_INFINITY, |t, h| t.max(h.1));
+        // A sight line's height over its distance, as a fraction.
+        let sight = |u: f64| (u * plane.c - plane.a, plane.b - u * plane.e);
+        // The lowest one goes down to a world below the eye first, the highest one up to one above.
+        let from = match (bottom, top) {
+            (_, top) if top < 0.0 => (top, sight(f64::from(plane.first))),
+            (bottom, _) if bottom > 0.0 => (bottom, sight(f64::from(plane.end))),
+            _ => (0.0, (1.0, 1.0)),
+        };
+        let from = match from {
+            (0.0, _) => 0.0,
+            (near, (h, _)) if h * near <= 0.0 => f64::INFINITY,
+            // A little earlier: the walk rounds to f32.
+            (near, (h, t)) => f64::max(near / h * t * (1.0 - 1e-6), 0.0),
+        };
+        // The samples beside the place of the horizon, their centres moved a little towards it.
+        let horizon = plane.a / plane.c;
+        let leaves = |centre: f64, side: f64, edge: f64| {
+            let (h, t) = sight(centre - side * 0.05);
+            if edge * side <= 0.0 {
+                0.0
+            } else if h * side <= 0.0 {
+                f64::INFINITY
+            } else {
+                edge / h * t
+            }
+        };
+        let (first, last) = (f64::from(plane.first) + 0.5, f64::from(plane.end) - 0.5);
+        if !horizon.is_finite() || plane.c <= 0.0 || last < first {
+            return (from, f64::INFINITY);
+        }
+        let above = ((horizon - 0.5).ceil() + 0.5).max(first);
+        let below = ((horizon - 0.5).floor() + 0.5).min(last);
+        let up = if above <= last { leaves(above, 1.0, top) } else { 0.0 };
+        let down = if below >= first { leaves(below, -1.0, bottom) } else { 0.0 };
+        (from, up.max(down) * (1.0 + 1e-6))
     }
 
     /// From where on each level's voxels project to at most `lod` pixels, for everything that the plane can see.

@@ -5,7 +5,7 @@ use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
 use crate::cpu::{gap_fill, remap, shade, traverse};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Planes, Remap, Shading};
+use crate::options::{Options, Planes, Remap, SSAO_SAMPLES_LIMIT, Shading};
 use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
 use planecast_encoder::{ColorMode, Scene};
@@ -65,6 +65,9 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
     if options.lod.is_some_and(|px| px.is_nan() || px <= 0.0) {
         return argument(format!("level of detail of {} pixels: must be above 0, or off", options.lod.unwrap_or(0.0)));
     }
+    if !(1..=SSAO_SAMPLES_LIMIT).contains(&options.ssao_samples) {
+        return argument(format!("{} occlusion samples: must be 1 to {SSAO_SAMPLES_LIMIT}", options.ssao_samples));
+    }
     match options.planes {
         Planes::Count(n) if !(1..=1_000_000).contains(&n) => argument(format!("{n} planes: must be 1 to 1,000,000")),
         Planes::Factor(f) if !(f > 0.0 && f <= 64.0) => {
@@ -99,7 +102,8 @@ impl<'a> CpuRenderer<'a> {
         // Where planes are pixel columns, a pixel's own sample is its own ray.
         let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
         let voxels = outputs.voxel || retest;
-        let counters = traverse::traverse::<f32>(self.resident, &setup, options.culling, &mut self.buffer, voxels);
+        let traverse = if options.f64_traversal { traverse::traverse::<f64> } else { traverse::traverse::<f32> };
+        let counters = traverse(self.resident, &setup, options.culling, &mut self.buffer, voxels);
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();

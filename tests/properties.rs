@@ -302,8 +302,8 @@ fn any_options() -> impl Strategy<Value = Options> {
             equidistant,
             remap: if retest { Remap::Retest } else { Remap::Nearest },
             culling: if all { Culling::ALL } else { Culling::NONE },
-            shading: Shading::Full,
             fog: readjust.then_some(100.0),
+            ..Options::default()
         },
     )
 }

@@ -6,7 +6,7 @@ use crate::Columns;
 pub type Rgb = [u8; 3];
 
 /// What the geometry runs of a scene hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Encoding {
     /// Whole solid intervals (culls best).
@@ -16,7 +16,7 @@ pub enum Encoding {
 }
 
 /// How finely a scene is coloured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ColorMode {
     /// Geometry alone.

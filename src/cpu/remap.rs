@@ -93,15 +93,14 @@ impl<'a> Row<'a> {
             None => {
                 let per_pixel = 1.0 / fan.spacing;
                 self.places(stretch, &fan, |x, sample, at| {
-                    let plane = ((at - fan.start) * per_pixel).truncate(last) as u32;
-                    pixel(x, Place { plane, sample, at });
+                    pixel(x, Place::new((at - fan.start) * per_pixel, last, sample, at));
                 });
             }
             Some(r) => {
                 let (per_distance, per_step) = (1.0 / r.distance, 1.0 / r.step);
                 self.places(stretch, &fan, |x, sample, at| {
-                    let plane = ((crowd((at - r.centre) * per_distance) - r.start) * per_step).truncate(last) as u32;
-                    pixel(x, Place { plane, sample, at });
+                    let k = (crowd((at - r.centre) * per_distance) - r.start) * per_step;
+                    pixel(x, Place::new(k, last, sample, at));
                 });
             }
         }
@@ -153,27 +152,31 @@ impl<'a> Row<'a> {
 /// A pixel's place in the plane buffer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// Plane of its fan, and sample of that plane.
+    /// Nearest plane of its fan, and sample of that plane.
     pub plane: u32,
     pub sample: u32,
+    /// The plane on the pixel's other side; at a fan's end, `plane`.
+    pub second: u32,
     /// Where the pixel projects to on the fan's far edge.
     pub at: f64,
+}
+
+impl Place {
+    /// A place `k` stripes from a fan's start, whose last plane has number `last`.
+    #[inline(always)]
+    fn new(k: f64, last: f64, sample: u32, at: f64) -> Place {
+        let plane = k.truncate(last);
+        // A stripe's plane runs along its middle.
+        let side = if k - f64::from(plane) < 0.5 { -1 } else { 1 };
+        let second = (plane + side).max(0).min(last as i32);
+        Place { plane: plane as u32, sample, second: second as u32, at }
+    }
 }
 
 impl Fan {
     #[inline(always)]
     fn index(&self, plane: u32, sample: u32) -> usize {
         self.first_sample + plane as usize * self.n_samples as usize + sample as usize
-    }
-
-    /// The plane on a place's other side; at a fan's end, the place's own.
-    #[inline(always)]
-    fn beside(&self, place: Place) -> u32 {
-        if place.at < self.place(place.plane).0 {
-            place.plane.saturating_sub(1)
-        } else {
-            (place.plane + 1).min(self.n_planes - 1)
-        }
     }
 }
 
@@ -251,28 +254,32 @@ struct Boxes {
     fract: [f32; 3],
 }
 
+/// The depth of a voxel that a ray does not meet.
+const MISS: f32 = f32::INFINITY;
+
 impl Boxes {
-    /// Depth at which a ray (inverse components given) enters a voxel, at least 0; `None` where it misses it.
+    /// Depth at which a ray (inverse components given) enters a voxel, at least 0; [`MISS`] where it misses it or there is none.
     #[inline(always)]
-    fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> Option<f32> {
+    fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> f32 {
         let l = voxel[3];
         let (mut near, mut far) = (0.0f32, f32::INFINITY);
         for axis in 0..3 {
-            let from = (voxel[axis] << l).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
-            let to = from + (1 << l) as f32;
+            // Each face from whole numbers: a sum with the other one would lose a face at hand.
+            let face = |cell: i32| cell.wrapping_shl(l as u32).wrapping_sub(self.eye[axis]) as f32 - self.fract[axis];
+            let (from, to) = (face(voxel[axis]), face(voxel[axis].wrapping_add(1)));
             let (a, b) = (from * inverse[axis], to * inverse[axis]);
-            near = near.max(a.min(b));
-            far = far.min(a.max(b));
+            near = Real::max(near, Real::min(a, b));
+            far = Real::min(far, Real::max(a, b));
         }
         // Rounding must not let a ray slip between two voxels.
-        (near <= far * (1.0 + 1e-6)).then_some(near)
+        if near <= far * (1.0 + 1e-6) && l >= 0 { near } else { MISS }
     }
 }
 
 /// Like [`remap`], but each pixel tests the voxels of the samples around its place against its own ray: it takes the
-/// nearest plane's if the ray meets it, else the nearest that it does meet among the two nearest planes' samples beside
-/// it. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`]; the voxel of
-/// each pixel goes to `voxel` unless that is empty, in the same form.
+/// nearer of those of the two planes beside it; where it meets neither, the nearest that it does meet among the samples
+/// next to them. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`];
+/// the voxel of each pixel goes to `voxel` unless that is empty, in the same form.
 pub fn remap_retest(
     setup: &Setup,
     buffer: &PlaneBuffer,
@@ -281,92 +288,202 @@ pub fn remap_retest(
     depth: &mut [f32],
     voxel: &mut [[i32; 4]],
 ) {
-    let (width, w) = (camera.width, camera.width as usize);
-    let basis = camera.basis();
-    let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
-    let tasks: Vec<_> = if voxel.is_empty() {
-        color.chunks_mut(w).zip(depth.chunks_mut(w)).map(|(c, d)| (c, d, &mut [][..])).collect()
-    } else {
-        let rows = color.chunks_mut(w).zip(depth.chunks_mut(w)).zip(voxel.chunks_mut(w));
-        rows.map(|((c, d), v)| (c, d, v)).collect()
-    };
-    tasks.into_par_iter().enumerate().with_min_len(ROWS_A_TASK).for_each(|(r, (color, depth, voxel))| {
-        let row = Row::new(setup, r as u32, width);
-        let start = camera.ray(&basis, 0.5, r as f64 + 0.5);
-        let step = (camera.ray(&basis, f64::from(width) + 0.5, r as f64 + 0.5) - start) / f64::from(width);
-        for stretch in row.stretches() {
-            let fan = &setup.fans[stretch.fan];
-            row.gather(stretch, |x, place| {
-                let ray = start + step * x as f64;
-                // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
-                let inverse = ray.to_array().map(|d| if d.abs() < 1e-30 { 1e30 } else { (1.0 / d) as f32 });
-                let own = fan.index(place.plane, place.sample);
-                let second = fan.beside(place);
-                let beside = fan.index(second, place.sample);
-                let plane = &setup.planes[(fan.first_plane + second) as usize];
-                // Beyond a plane's own samples its part of the buffer is not drawn.
-                let drawn = (plane.first..plane.end).contains(&place.sample);
-                let enter = |i: usize| match buffer.voxel[i] {
-                    SKY => None,
-                    voxel => boxes.enter(voxel, inverse),
-                };
-                // The ray may meet the own plane's voxel inside the surface, behind a voxel that only the plane on its
-                // other side shows: the nearer of the two is what it sees.
-                let (chosen, z) = match (enter(own), drawn.then(|| enter(beside)).flatten()) {
-                    (Some(a), Some(b)) if b < a => (beside, b),
-                    (Some(a), _) => (own, a),
-                    (None, Some(b)) => (beside, b),
-                    _ => {
-                        let (found, near) = retest(setup, fan, buffer, &boxes, place, inverse, own);
-                        (found, near.unwrap_or(buffer.depth[found]))
-                    }
-                };
-                color[x] = buffer.color[chosen];
-                depth[x] = z;
-                if let Some(v) = voxel.get_mut(x) {
-                    *v = buffer.voxel[chosen];
-                }
-            });
+    let w = camera.width as usize;
+    let avx2 = has_avx2();
+    let drawn: Vec<_> = setup.planes.iter().map(|plane| [plane.first, plane.end]).collect();
+    let whole = [UP, DOWN, LEFT, RIGHT].map(|f| {
+        let fan = &setup.fans[f];
+        let planes = &drawn[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
+        planes.iter().all(|&plane| plane == [0, fan.n_samples])
+    });
+    let tasks = color.chunks_mut(ROWS_A_TASK * w).zip(depth.chunks_mut(ROWS_A_TASK * w));
+    let mut voxels = voxel.chunks_mut(ROWS_A_TASK * w);
+    let tasks: Vec<_> = tasks.map(|(c, d)| (c, d, voxels.next().unwrap_or_default())).collect();
+    tasks.into_par_iter().enumerate().for_each(|(task, (color, depth, voxel))| {
+        let first_row = (task * ROWS_A_TASK) as u32;
+        let rows = RowsTask { setup, buffer, first_row, width: camera.width, color, depth };
+        let task = RetestTask { rows, camera, drawn: &drawn, whole, voxel };
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: `has_avx2` has seen that the processor can.
+            return unsafe { retest_rows_avx2(task) };
         }
+        let _ = avx2;
+        retest_rows(task);
     });
 }
 
-/// The best sample around a place whose own sample the ray does not meet, and the depth at which the ray meets it: the
-/// nearest one met; else one that shows the sky; else the own one.
-#[cold]
-fn retest(
-    setup: &Setup,
-    fan: &Fan,
-    buffer: &PlaneBuffer,
-    boxes: &Boxes,
-    place: Place,
-    inverse: [f32; 3],
-    own: usize,
-) -> (usize, Option<f32>) {
-    let second = fan.beside(place);
-    let mut best: Option<(usize, f32)> = None;
-    let mut sky = (buffer.voxel[own] == SKY).then_some(own);
-    for k in [place.plane, second] {
-        let plane = &setup.planes[(fan.first_plane + k) as usize];
-        for sample in place.sample.saturating_sub(1)..=place.sample + 1 {
-            if !(plane.first..plane.end).contains(&sample) {
-                continue;
-            }
-            let i = fan.index(k, sample);
-            let voxel = buffer.voxel[i];
-            if voxel == SKY {
-                sky = sky.or(Some(i));
-            } else if let Some(near) = boxes.enter(voxel, inverse)
-                && best.is_none_or(|(_, z)| near < z)
-            {
-                best = Some((i, near));
+/// Some rows of a picture whose pixels test voxels.
+struct RetestTask<'a> {
+    rows: RowsTask<'a>,
+    camera: &'a Camera,
+    /// First sample of each plane, and one past its last: beyond them its part of the buffer is not drawn.
+    drawn: &'a [[u32; 2]],
+    /// Whether all planes of a fan are drawn from end to end.
+    whole: [bool; 4],
+    voxel: &'a mut [[i32; 4]],
+}
+
+/// The same code for processors with AVX2; the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn retest_rows_avx2(task: RetestTask<'_>) {
+    retest_rows(task);
+}
+
+const BLOCK: usize = COLUMNS_A_BLOCK as usize;
+
+/// A stretch's pixels, one after the other in each array, so that they are worked on in vectors.
+struct Block {
+    /// Samples of the two planes beside a pixel, within its fan; that of the nearest plane first.
+    at: [[u32; BLOCK]; 2],
+    second: [u32; BLOCK],
+    inverse: [[f32; BLOCK]; 3],
+    voxel: [[i32; BLOCK]; 4],
+    near: [[f32; BLOCK]; 2],
+}
+
+#[inline(always)]
+fn retest_rows(task: RetestTask<'_>) {
+    let RetestTask { rows: RowsTask { setup, buffer, first_row, width, color, depth }, camera, drawn, whole, voxel } =
+        task;
+    let w = width as usize;
+    let basis = camera.basis();
+    let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
+    let rows: Vec<_> = (first_row..first_row + (color.len() / w) as u32).map(|r| Row::new(setup, r, width)).collect();
+    let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
+    let mut block = Block {
+        at: [[0; BLOCK]; 2],
+        second: [0; BLOCK],
+        inverse: [[0.0; BLOCK]; 3],
+        voxel: [[0; BLOCK]; 4],
+        near: [[0.0; BLOCK]; 2],
+    };
+    for from in (0..width).step_by(BLOCK) {
+        let to = (from + COLUMNS_A_BLOCK).min(width);
+        for (r, row) in rows.iter().enumerate() {
+            let y = f64::from(row.row) + 0.5;
+            let start = camera.ray(&basis, 0.5, y);
+            let step = (camera.ray(&basis, f64::from(width) + 0.5, y) - start) / f64::from(width);
+            for s in stretches[r] {
+                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
+                if part.from >= part.to {
+                    continue;
+                }
+                let fan = &setup.fans[s.fan];
+                let (n, m) = (fan.n_samples, (part.to - part.from) as usize);
+                let drawn = &drawn[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
+                let samples = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
+                let shown = &buffer.voxel[samples.clone()];
+                let (colors, depths) = (&buffer.color[samples.clone()], &buffer.depth[samples]);
+
+                let [own, beside] = &mut block.at;
+                row.gather(part, |x, place| {
+                    let i = (x as u32 - part.from) as usize % BLOCK;
+                    own[i] = place.plane * n + place.sample;
+                    beside[i] = place.second * n + place.sample;
+                    block.second[i] = place.second;
+                });
+                if !whole[s.fan] {
+                    for ((beside, own), &second) in beside[..m].iter_mut().zip(&own[..m]).zip(&block.second[..m]) {
+                        let [first, end] = drawn[second as usize];
+                        if !(first..end).contains(&(*beside - second * n)) {
+                            *beside = *own;
+                        }
+                    }
+                }
+                let [dx, dy, dz] = &mut block.inverse;
+                for (i, ((dx, dy), dz)) in dx[..m].iter_mut().zip(&mut dy[..m]).zip(&mut dz[..m]).enumerate() {
+                    let x = f64::from((part.from as i32).wrapping_add(i as i32));
+                    // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
+                    let inverse = |start: f64, step: f64| {
+                        let d = (start + step * x) as f32;
+                        1.0 / (if d.abs() < 1e-30 { 1e-30 } else { d })
+                    };
+                    (*dx, *dy, *dz) = (inverse(start.x, step.x), inverse(start.y, step.y), inverse(start.z, step.z));
+                }
+                for (at, near) in block.at.iter().zip(&mut block.near) {
+                    let [x, y, z, l] = &mut block.voxel;
+                    let voxel = x[..m].iter_mut().zip(&mut y[..m]).zip(&mut z[..m]).zip(&mut l[..m]);
+                    for ((((x, y), z), l), &at) in voxel.zip(&at[..m]) {
+                        [*x, *y, *z, *l] = shown[at as usize];
+                    }
+                    let voxel = x[..m].iter().zip(&y[..m]).zip(&z[..m]).zip(&l[..m]);
+                    let [dx, dy, dz] = &block.inverse;
+                    let inverse = dx[..m].iter().zip(&dy[..m]).zip(&dz[..m]);
+                    for ((near, (((&x, &y), &z), &l)), ((&dx, &dy), &dz)) in
+                        near[..m].iter_mut().zip(voxel).zip(inverse)
+                    {
+                        *near = boxes.enter([x, y, z, l], [dx, dy, dz]);
+                    }
+                }
+                let ([own, beside], [near, near_beside]) = (&mut block.at, &mut block.near);
+                // The ray may meet the own plane's voxel inside the surface, behind a voxel that only the plane on its
+                // other side shows: the nearer of the two is what it sees.
+                for (((at, beside), z), near) in
+                    own[..m].iter_mut().zip(&beside[..m]).zip(&mut near[..m]).zip(&near_beside[..m])
+                {
+                    (*at, *z) = if *near < *z { (*beside, *near) } else { (*at, *z) };
+                }
+                for i in 0..m {
+                    if near[i] == MISS {
+                        let inverse = [0, 1, 2].map(|axis| block.inverse[axis][i]);
+                        let place = [own[i] / n, block.second[i], own[i] % n];
+                        (own[i], near[i]) = retest(fan, shown, drawn, &boxes, place, inverse);
+                        if near[i] == MISS {
+                            near[i] = depths[own[i] as usize];
+                        }
+                    }
+                }
+                let out = r * w + part.from as usize..r * w + part.to as usize;
+                depth[out.clone()].copy_from_slice(&near[..m]);
+                for (c, &at) in color[out.clone()].iter_mut().zip(&own[..m]) {
+                    *c = colors[at as usize];
+                }
+                if !voxel.is_empty() {
+                    for (v, &at) in voxel[out].iter_mut().zip(&own[..m]) {
+                        *v = shown[at as usize];
+                    }
+                }
             }
         }
     }
-    match (best, sky) {
-        (Some((i, near)), _) => (i, Some(near)),
-        (None, Some(i)) => (i, None),
-        (None, None) => (own, None),
+}
+
+/// The best sample around `sample` of `plane` and of the plane `second` on the pixel's other side, none of which the ray meets, and the depth at which the ray meets it: the
+/// nearest one met; else one that shows the sky; else the own one. `shown` and `drawn` are the fan's part of the buffer and
+/// of the planes.
+#[cold]
+fn retest(
+    fan: &Fan,
+    shown: &[[i32; 4]],
+    drawn: &[[u32; 2]],
+    boxes: &Boxes,
+    [plane, second, sample]: [u32; 3],
+    inverse: [f32; 3],
+) -> (u32, f32) {
+    let at = |k: u32, sample: u32| k * fan.n_samples + sample;
+    let own = at(plane, sample);
+    let mut best = (own, MISS);
+    let mut sky = (shown[own as usize] == SKY).then_some(own);
+    for k in [plane, second] {
+        let [first, end] = drawn[k as usize];
+        for sample in sample.saturating_sub(1).max(first)..(sample + 2).min(end) {
+            let i = at(k, sample);
+            let voxel = shown[i as usize];
+            if voxel == SKY {
+                sky = sky.or(Some(i));
+                continue;
+            }
+            let near = boxes.enter(voxel, inverse);
+            if near < best.1 {
+                best = (i, near);
+            }
+        }
+    }
+    match sky {
+        Some(i) if best.1 == MISS => (i, MISS),
+        _ => best,
     }
 }
 

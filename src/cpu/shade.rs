@@ -2,7 +2,7 @@
 //!
 //! Works on colour and depth alone (Forstmann & Ohya 2009 §3.8), so it costs the same whatever the scene.
 //! Normals: the plane through a pixel's neighbours at 1, 2 and 4 pixels along each screen axis, on each axis the side
-//! with the smaller jump in depth. Occlusion: [`SSAO_SAMPLES`] neighbours on a spiral, turned from pixel to pixel in a 4 × 4
+//! with the smaller jump in depth. Occlusion: some ([`SSAO_SAMPLES`]) neighbours on a spiral, turned from pixel to pixel in a 4 × 4
 //! pattern; each counts by how far it stands above the pixel's tangent plane (McGuire et al. 2011; the paper cites
 //! Mittring 2007, which needs no normals). Everything is f32 and a function of the pixel's neighbourhood alone.
 
@@ -11,7 +11,7 @@ use crate::options::{Options, Shading};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Neighbours looked at for occlusion.
+/// Neighbours looked at for occlusion unless told otherwise.
 pub const SSAO_SAMPLES: u32 = 10;
 /// Radius of the occlusion spiral as a share of the image's height.
 pub const SSAO_RADIUS: f32 = 0.035;
@@ -27,7 +27,7 @@ pub const SKY_ZENITH: [f32; 3] = [0.30, 0.52, 0.84];
 pub const SKY_NADIR: [f32; 3] = [0.52, 0.56, 0.60];
 
 /// What all pixels of a frame share.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ShadeParams {
     pub width: i32,
     pub height: i32,
@@ -41,7 +41,8 @@ pub struct ShadeParams {
     pub radius_px: f32,
     pub pixel: f32,
     /// See [`spiral`].
-    pub spiral: [[i32; 2]; 16 * SSAO_SAMPLES as usize],
+    pub spiral: Vec<[i32; 2]>,
+    pub samples: u32,
     pub normals: bool,
     pub occlusion: bool,
     /// 1 / fog distance, 0 for clear air.
@@ -65,7 +66,8 @@ impl ShadeParams {
             sun: axes(sun),
             radius_px: radius_px(camera),
             pixel: (1.0 / camera.focal()) as f32,
-            spiral: spiral(radius_px(camera)),
+            spiral: spiral(radius_px(camera), options.ssao_samples),
+            samples: options.ssao_samples,
             normals: matches!(options.shading, Shading::Ssn | Shading::Full),
             occlusion: matches!(options.shading, Shading::Ssao | Shading::Full),
             fog: options.fog.map_or(0.0, |f| (1.0 / f) as f32),
@@ -163,9 +165,9 @@ fn occlusion(p: &ShadeParams, depth: &[f32], x: i32, y: i32, z: f32, n: Vec3) ->
     let here = p.ray(x, y) * z;
     let radius = p.radius_px * p.pixel * z;
     // One of 16 turns in a 4 × 4 pattern.
-    let turn = ((((x & 3) * 4 + (y & 3)) * 7) & 15) as usize * SSAO_SAMPLES as usize;
+    let turn = ((((x & 3) * 4 + (y & 3)) * 7) & 15) as usize * p.samples as usize;
     let mut sum = 0.0;
-    for [dx, dy] in &p.spiral[turn..turn + SSAO_SAMPLES as usize] {
+    for [dx, dy] in &p.spiral[turn..turn + p.samples as usize] {
         let (sx, sy) = (x + dx, y + dy);
         let zs = depth_at(p, depth, sx, sy);
         if zs == f32::INFINITY {
@@ -177,7 +179,7 @@ fn occlusion(p: &ShadeParams, depth: &[f32], x: i32, y: i32, z: f32, n: Vec3) ->
         let fade = (1.0 - d2 / (radius * radius)).max(0.0);
         sum += (above / (d2 + 0.01 * radius * radius).sqrt()).max(0.0) * fade;
     }
-    (SSAO_STRENGTH * 2.0 * sum / SSAO_SAMPLES as f32).min(0.85)
+    (SSAO_STRENGTH * 2.0 * sum / p.samples as f32).min(0.85)
 }
 
 /// Radius of the occlusion spiral in pixels.
@@ -185,14 +187,14 @@ pub fn radius_px(camera: &Camera) -> f32 {
     (SSAO_RADIUS * camera.height as f32).max(2.0)
 }
 
-/// Offsets in pixels of the [`SSAO_SAMPLES`] neighbours for each of 16 turns of the spiral.
-pub fn spiral(radius_px: f32) -> [[i32; 2]; 16 * SSAO_SAMPLES as usize] {
-    let mut out = [[0; 2]; 16 * SSAO_SAMPLES as usize];
-    for (turn, out) in out.chunks_mut(SSAO_SAMPLES as usize).enumerate() {
+/// Offsets in pixels of the `samples` neighbours for each of 16 turns of the spiral.
+pub fn spiral(radius_px: f32, samples: u32) -> Vec<[i32; 2]> {
+    let mut out = vec![[0; 2]; 16 * samples as usize];
+    for (turn, out) in out.chunks_mut(samples as usize).enumerate() {
         let (mut s, mut c) = (turn as f32 * (std::f32::consts::TAU / 16.0)).sin_cos();
         let (ds, dc) = (0.675_490_3, -0.737_368_9); // the golden angle
         for (k, out) in out.iter_mut().enumerate() {
-            let r = radius_px * (k as f32 + 0.75) / SSAO_SAMPLES as f32;
+            let r = radius_px * (k as f32 + 0.75) / samples as f32;
             *out = [round(r * c), round(r * s)];
             (c, s) = (c * dc - s * ds, s * dc + c * ds);
         }

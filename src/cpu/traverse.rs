@@ -39,6 +39,7 @@ pub trait Real:
     fn abs(self) -> Self;
     fn from_f64(v: f64) -> Self;
     fn from_i32(v: i32) -> Self;
+    /// Rounded down, of numbers brought into ±2³⁰ first (NaN to −2³⁰).
     fn floor_i32(self) -> i32;
     fn to_f32(self) -> f32;
     /// The whole part, of numbers brought into `0 ..= top` first (NaN to 0); `top` is below 2³¹.
@@ -75,8 +76,12 @@ macro_rules! real {
             // Not `floor()`: without SSE 4.1 that is a library call.
             #[inline(always)]
             fn floor_i32(self) -> i32 {
-                let i = self as i32;
-                i - i32::from(i as $t > self)
+                const FAR: $t = (1 << 30) as $t;
+                let v = if self > -FAR { self } else { -FAR };
+                let v = if v < FAR { v } else { FAR };
+                // SAFETY: v is in −2³⁰ ..= 2³⁰. The checked cast takes four times the instructions.
+                let i = unsafe { v.to_int_unchecked::<i32>() };
+                i - i32::from(i as $t > v)
             }
             #[inline(always)]
             fn to_f32(self) -> f32 {
@@ -422,20 +427,29 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         (lo, hi)
     }
 
-    /// The first sample of the open window whose centre is at or above point `(t, h)`. Points beyond the window's ends are
-    /// clipped by their slope, before any division: what is divided lies in front of the camera.
+    /// Heights as whole voxels, rounded outwards.
     #[inline(always)]
-    fn sample(&self, t: R, h: R) -> i32 {
-        if h <= self.s_lo * t {
-            return self.lo;
+    fn whole(&self, lo: R, hi: R) -> (i32, i32) {
+        let floor = |h: R| (h + self.fract_y).floor_i32().saturating_add(self.eye_y);
+        (floor(lo), floor(hi).saturating_add(1))
+    }
+
+    /// For each point `(t, h)` the first sample of the open window whose centre is at or above it. Points beyond the window's
+    /// ends are clipped by their slope: whatever their quotient, which may lie behind the camera, it is not used. Four points
+    /// at once, since a vector's division costs what one costs.
+    #[inline(always)]
+    fn samples(&self, t: [R; 4], h: [R; 4]) -> [i32; 4] {
+        let (lo, hi) = (self.lo, self.hi);
+        let mut j = [0; 4];
+        for i in 0..4 {
+            // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
+            let u = (self.a * t[i] + self.b * h[i]) / (self.c * t[i] + self.e * h[i]) + R::HALF;
+            let whole = u.truncate(self.limit);
+            let inside = (whole - i32::from(R::from_i32(whole) == u)).max(lo).min(hi);
+            let inside = if h[i] >= self.s_hi * t[i] { hi } else { inside };
+            j[i] = if h[i] <= self.s_lo * t[i] { lo } else { inside };
         }
-        if h >= self.s_hi * t {
-            return self.hi;
-        }
-        // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
-        let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
-        let j = u.truncate(self.limit);
-        (j - i32::from(R::from_i32(j) == u)).max(self.lo).min(self.hi)
+        j
     }
 
     #[inline(always)]
@@ -567,14 +581,17 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                     }
                 }
 
-                // Column by column through the block.
+                // Column by column through the block. Both axes in variables of their own: an array indexed by axis would live
+                // in memory.
                 let mut index = wrapped[1] as isize * size[0] as isize + wrapped[0] as isize;
-                let mut next = [cross(0, (cell[0] + ahead[0]) << l), cross(1, (cell[1] + ahead[1]) << l)];
+                let [mut x, mut z] = cell;
+                let (mut next_x, mut next_z) = (cross(0, (x + ahead[0]) << l), cross(1, (z + ahead[1]) << l));
+                let steps = [step[0] as isize, step[1] as isize * size[0] as isize];
                 loop {
-                    let axis = usize::from(next[1] < next[0]);
-                    let t1 = next[axis].min(limit);
+                    let along_z = next_z < next_x;
+                    let t1 = if along_z { next_z } else { next_x }.min(limit);
                     if t1 > t0 {
-                        self.cell = cell;
+                        self.cell = [x, z];
                         self.column(level, l, index as usize, t0, t1);
                         t0 = t1;
                         if self.closed() {
@@ -584,13 +601,21 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                     if t0 >= limit {
                         break;
                     }
-                    cell[axis] += step[axis];
-                    if cell[axis] == stop[axis] {
+                    x += if along_z { 0 } else { step[0] };
+                    z += if along_z { step[1] } else { 0 };
+                    if x == stop[0] || z == stop[1] {
                         break;
                     }
-                    index += if axis == 0 { step[0] as isize } else { step[1] as isize * size[0] as isize };
-                    next[axis] = cross(axis, (cell[axis] + ahead[axis]) << l);
+                    index += if along_z { steps[1] } else { steps[0] };
+                    let line = if along_z { (z + ahead[1]) << l } else { (x + ahead[0]) << l };
+                    let (eye, fract) = if along_z { (eye[1], fract[1]) } else { (eye[0], fract[0]) };
+                    // As `cross` has it: along an axis that the plane never crosses there is no step.
+                    let at =
+                        (R::from_i32(line.wrapping_sub(eye)) - fract) * if along_z { inverse[1] } else { inverse[0] };
+                    next_x = if along_z { next_x } else { at };
+                    next_z = if along_z { at } else { next_z };
                 }
+                cell = [x, z];
             }
             l += 1;
             cell = cell.map(|c| c >> 1);
@@ -625,12 +650,18 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         if t1 > t0 && inside(0, nx) && inside(1, nz) {
             let index = cell[1].rem_euclid(nz) as usize * nx as usize + cell[0].rem_euclid(nx) as usize;
             self.cell = *cell;
-            self.column(level, l, index, t0, t1);
+            self.column_apart(level, l, index, t0, t1);
         }
         if t1 < limit {
             cell[major] += step;
         }
         t1
+    }
+
+    /// Once more [`Walk::column`], not inlined: the equidistant walk is rare, and the code long.
+    #[inline(never)]
+    fn column_apart(&mut self, level: &'a ResidentLevel, l: u32, column: usize, t0: R, t1: R) {
+        self.column(level, l, column, t0, t1);
     }
 
     /// Looks at one column between `t0` and `t1`.
@@ -668,13 +699,12 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         };
         // The window's heights as whole voxels, rounded outwards.
         let eye = self.eye_y;
-        let fract = self.fract_y;
-        let far = R::from_i32(1 << 30);
-        let whole = |(lo, hi): (R, R)| {
-            let floor = |h: R| (h + fract).min(far).max(R::ZERO - far).floor_i32().saturating_add(eye);
-            (floor(lo), floor(hi).saturating_add(1))
+        let (mut below, mut above) = if more == 0 {
+            // One run, whose top is known to be in the window.
+            (i32::MIN, if self.height(u32::from(top.first()) << l) < hi { i32::MAX } else { i32::MIN })
+        } else {
+            self.whole(lo, hi)
         };
-        let (mut below, mut above) = whole((lo, hi));
         let n = rest.len() + 1;
         let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
         let first = |run: Run| (u32::from(run.first()) << l) as i32;
@@ -721,7 +751,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                     return;
                 }
                 if n > 1 {
-                    (below, above) = whole(self.visible(t0, t1));
+                    let (lo, hi) = self.visible(t0, t1);
+                    (below, above) = self.whole(lo, hi);
                 }
             }
             k = k.wrapping_add_signed(step);
@@ -748,14 +779,14 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
         let Drawn { h0, h1, t0, .. } = d;
         // At the eye's own height any distance has slope 0, but for 0, where an eye on a run's face would see nothing of it.
-        let j0 = self.sample(if h0 >= R::ZERO { t1 } else { t0 }, h0);
-        let j1 = self.sample(if h1 <= R::ZERO { t1 } else { t0 }, h1);
+        let (t_foot, t_top) = (if h0 >= R::ZERO { t1 } else { t0 }, if h1 <= R::ZERO { t1 } else { t0 });
+        let [j0, j1, f0, f1] = self.samples([t_foot, t_top, t0, t0], [h0, h1, h0, h1]);
         if j0 >= j1 {
             return;
         }
         self.counters.spans_drawn += 1;
-        let f0 = if h0 > R::ZERO { self.sample(t0, h0).clamp(j0, j1) } else { j0 };
-        let f1 = if h1 < R::ZERO { self.sample(t0, h1).clamp(f0, j1) } else { j1 };
+        let f0 = if h0 > R::ZERO { f0.max(j0).min(j1) } else { j0 };
+        let f1 = if h1 < R::ZERO { f1.max(f0).min(j1) } else { j1 };
         // The common case: a span at an end of the window, beyond all that was drawn within it, just moves the end.
         if FAST && (j1 <= self.hull[0] || j0 >= self.hull[1]) && (j0 == self.lo || j1 == self.hi) {
             if j0 < f0 {
@@ -861,13 +892,30 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
         let depth = &mut self.depth[from..to];
         let color = &mut self.color[from..to];
         if let Face::Front = face {
-            for (z, &s) in depth.iter_mut().zip(&self.sight.depth_t[from..to]) {
-                *z = (d.t0 * s).to_f32();
-            }
-            let slope = &self.sight.slope[from..to];
+            let (depth_t, slope) = (&self.sight.depth_t[from..to], &self.sight.slope[from..to]);
             // How far above the run's foot each sight line meets it, in voxels of level 0.
             let top = R::from_i32(((last - first + 1) << l) as i32 - 1);
             let y = |&slope: &R| first + (((slope * d.t0 - d.h0).truncate(top) as u32) >> l);
+            // Most spans are short: for them a loop over vectors costs more than it saves.
+            if to - from < 16
+                && let Paint::Voxel { base, exposed, colors } = &level.paint
+            {
+                let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+                let mut paint = Exposed::default();
+                for (((c, z), sight), slope) in color.iter_mut().zip(depth).zip(depth_t).zip(slope) {
+                    *z = (d.t0 * *sight).to_f32();
+                    *c = colors[paint.find(exposed, y(slope))];
+                }
+                if VOXEL {
+                    for (v, s) in self.voxel[from..to].iter_mut().zip(slope) {
+                        *v = [self.cell[0], y(s) as i32, self.cell[1], l as i32];
+                    }
+                }
+                return;
+            }
+            for (z, &s) in depth.iter_mut().zip(depth_t) {
+                *z = (d.t0 * s).to_f32();
+            }
             match &level.paint {
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),

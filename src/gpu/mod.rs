@@ -160,6 +160,24 @@ fn groups(n: u32, by: u32) -> u32 {
     n.div_ceil(by)
 }
 
+/// Lanes of the kernel `workgroup` for a picture of so many pixels: more slices at once bring the longest planes to their
+/// end sooner, but are more often drawn in vain, behind what a nearer one of the same batch closes. On an H100, of 96,
+/// 128, 160, 192 and 256 lanes, terrain and mixing layer: 640 × 480 and 1,024 × 768 take least with 128 to 160 lanes,
+/// 1,920 × 1,080 with 192, 3,840 × 2,160 with 256.
+fn workgroup_lanes(pixels: u64) -> u32 {
+    match pixels {
+        0..1_500_000 => 128,
+        1_500_000..5_000_000 => 192,
+        _ => 256,
+    }
+}
+
+/// Lanes of the kernel `invocation`: planes side by side in a subgroup, as the paper has them on its GPU. On a large GPU
+/// few planes a workgroup are faster by far (an H100 takes a seventh of the time with one), as lanes of one subgroup wait
+/// for each other's walks; but then it is no longer the mapping that the kernel is here to be compared by, and
+/// `workgroup` is faster than both.
+const INVOCATION_LANES: u32 = 32;
+
 /// Bytes of workgroup memory that the kernel `workgroup` takes beside its keys, at most.
 fn workgroup_other(lanes: u32) -> u32 {
     4 * lanes + 1024
@@ -200,6 +218,16 @@ impl<'a> GpuRenderer<'a> {
     /// The adapter's name, and its driver.
     pub fn device(&self) -> (&str, &str) {
         (&self.engine.name, &self.engine.driver)
+    }
+
+    /// What it draws.
+    pub fn draws(&self) -> (&'a Scene, &'a Resident) {
+        (self.scene, self.resident)
+    }
+
+    /// Gives the device up at once, with all its memory. Later frames are an [`Error::Device`], as after a device is lost.
+    pub fn destroy(&self) {
+        self.engine.device.destroy();
     }
 
     /// Whether the adapter is a processor that plays GPU: the CPU's own stages are faster then.
@@ -281,8 +309,35 @@ impl<'a> GpuRenderer<'a> {
         })
     }
 
+    /// Refuses a frame whose longest walk would keep the device busy for seconds: kernels cannot be interrupted.
+    fn check_steps(&self, setup: &Setup, options: &Options) -> Result<()> {
+        let steps = setup.planes.iter().map(|p| setup.step_bound(p)).max().unwrap_or(0);
+        let at_once = match self.options.kernel {
+            // At least 32 lanes have a slice each, in which there are two columns.
+            Kernel::Workgroup => 16,
+            Kernel::Invocation | Kernel::Raycast => 1,
+        };
+        let allowed = at_once * if self.engine.software { MAX_STEPS_SOFTWARE } else { MAX_STEPS };
+        if steps <= allowed {
+            return Ok(());
+        }
+        let levels = if options.lod.is_none() { "levels (--lod 1), " } else { "" };
+        Err(Error::Limit(format!(
+            "view of {steps} columns along one plane: kernel {} draws at most {allowed} on {}; try {levels}a smaller \
+             --view-distance or --device cpu",
+            self.options.kernel.name(),
+            self.engine.name
+        )))
+    }
+
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
         check(camera, options)?;
+        if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
+            let fixed = shade::SSAO_SAMPLES;
+            return Err(Error::Argument(format!(
+                "the gpu walks in f32 and takes {fixed} occlusion samples; use the cpu"
+            )));
+        }
         let start = Instant::now();
         if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
             frame.stats.device = self.engine.name.clone();
@@ -293,6 +348,7 @@ impl<'a> GpuRenderer<'a> {
             return Ok(());
         }
         let setup = plane_setup(self.resident, camera, options);
+        self.check_steps(&setup, options)?;
         let upload = Upload::new(self.resident, &setup, camera, options);
         let plan = Plan::new(&setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
@@ -337,6 +393,14 @@ impl<'a> GpuRenderer<'a> {
         self.read_back(&plan, frame, start, setup_ms)
     }
 }
+
+/// Columns that one lane may have to look at one after the other. Each waits for memory once or twice, about a
+/// microsecond: more of them and drivers that reset a device after two seconds would.
+const MAX_STEPS: u64 = 1 << 21;
+
+/// What llvmpipe, the software device, ends every loop after, counted over all loops of a lane; it then draws on with
+/// what it has, so that more turns mean a wrong picture.
+const MAX_STEPS_SOFTWARE: u64 = 60_000;
 
 /// A frame's sizes and variants.
 struct Plan {
@@ -398,7 +462,7 @@ impl Plan {
         match gpu.kernel {
             Kernel::Invocation => {
                 plan.words = longest.div_ceil(32);
-                plan.lanes = gpu.lanes.unwrap_or(32).min(most);
+                plan.lanes = gpu.lanes.unwrap_or(INVOCATION_LANES).min(most);
                 while plan.lanes > 1 && plan.lanes * plan.words * 4 > memory {
                     plan.lanes /= 2;
                 }
@@ -406,9 +470,10 @@ impl Plan {
                 plan.n_counters = plan.n_planes;
             }
             Kernel::Workgroup => {
-                plan.lanes = gpu.lanes.unwrap_or(128).min(most);
+                plan.lanes = gpu.lanes.unwrap_or(workgroup_lanes(plan.pixels())).min(most);
                 let fine = plan.fine();
-                plan.words = fine + fine / 8 + fine / 4;
+                // As the shader lays them out.
+                plan.words = fine + fine / 4 + 3 * (fine / 16);
                 plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
@@ -514,7 +579,7 @@ impl GpuRenderer<'_> {
         self.write("lines", bytemuck::cast_slice(&upload.lines));
         self.write("bounds", bytemuck::cast_slice(&upload.bounds));
         self.write("holes", &[0; 4]);
-        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera))));
+        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), shade::SSAO_SAMPLES)));
     }
 
     fn write(&self, name: &str, bytes: &[u8]) {

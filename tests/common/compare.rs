@@ -1,74 +1,10 @@
 //! How far two frames agree.
 
 use planecast::Frame;
+#[allow(unused_imports, reason = "each test binary uses a part")]
+pub use planecast::compare::{Agreement, compare};
 
 const SKY: [i32; 4] = [-1; 4];
-
-/// Agreement of a frame with a reference of the same size, both with voxels.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Agreement {
-    pub pixels: usize,
-    /// Pixels that show the reference's voxel, level included, or sky as it does.
-    pub same: usize,
-    /// Pixels that show what the reference shows there or in one of the 8 pixels around.
-    pub near: usize,
-    /// Pixels where one of the two alone shows sky.
-    pub sky: usize,
-    /// Greatest relative error of depth where both show the same voxel, and at which pixel (column, row).
-    pub depth: f64,
-    pub depth_at: [usize; 2],
-}
-
-impl Agreement {
-    /// Shares of pixels, in percent.
-    pub fn same_percent(&self) -> f64 {
-        100.0 * self.same as f64 / self.pixels as f64
-    }
-
-    pub fn near_percent(&self) -> f64 {
-        100.0 * self.near as f64 / self.pixels as f64
-    }
-}
-
-impl std::fmt::Display for Agreement {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (same, near) = (self.same_percent(), self.near_percent());
-        write!(f, "same {same:7.3} %  near {near:7.3} %  sky {:4}  depth {:.1e}", self.sky, self.depth)
-    }
-}
-
-/// How far `frame` agrees with `reference`.
-pub fn compare(frame: &Frame, reference: &Frame) -> Agreement {
-    assert_eq!((frame.width, frame.height), (reference.width, reference.height), "frames differ in size");
-    let (w, h) = (frame.width as usize, frame.height as usize);
-    let mut agreement = Agreement { pixels: w * h, ..Agreement::default() };
-    for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
-        let i = y * w + x;
-        let voxel = frame.voxel[i];
-        agreement.sky += usize::from((voxel == SKY) != (reference.voxel[i] == SKY));
-        if voxel == reference.voxel[i] {
-            agreement.same += 1;
-            let error = depth_error(frame.depth[i], reference.depth[i]);
-            if error > agreement.depth {
-                (agreement.depth, agreement.depth_at) = (error, [x, y]);
-            }
-        }
-        let around = |v: usize, n: usize| v.saturating_sub(1)..(v + 2).min(n);
-        let near = around(y, h).any(|y| around(x, w).any(|x| reference.voxel[y * w + x] == voxel));
-        agreement.near += usize::from(near);
-    }
-    agreement
-}
-
-/// Relative to the reference; 0 where both are the same infinity, infinite where only one is or either is not a number.
-fn depth_error(depth: f32, reference: f32) -> f64 {
-    let (a, b) = (f64::from(depth), f64::from(reference));
-    if a == b {
-        return 0.0;
-    }
-    let error = (a - b).abs() / b.abs();
-    if error.is_finite() { error } else { f64::INFINITY }
-}
 
 /// Whether two frames are the same bit for bit; if not, what differs, the first five pixels in full.
 pub fn identical(a: &Frame, b: &Frame) -> Result<(), String> {

@@ -181,7 +181,7 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         return folder(path, opts);
     }
     let bytes = map(path)?;
-    match read(path, &bytes, opts)? {
+    match find(path, &bytes, opts)? {
         World::Volume(volume) => Ok(Box::new(volume.in_file(path, &bytes)?)),
         World::Pieces(pieces) => Ok(pieces),
     }
@@ -232,7 +232,15 @@ impl From<Input> for World<'_> {
 }
 
 /// Reads an input whose file at `path` holds `bytes`.
-fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a>> {
+pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+    match find(path, bytes, opts)? {
+        World::Volume(volume) => pieces::whole(&volume),
+        World::Pieces(pieces) => pieces::whole(&*pieces),
+    }
+}
+
+/// What the file at `path`, which holds `bytes`, is a picture of.
+fn find<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a>> {
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,

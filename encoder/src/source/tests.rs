@@ -6,7 +6,7 @@ use clap::{Parser, ValueEnum};
 use flate2::write::GzEncoder;
 
 use super::procedural::noise::hash;
-use super::procedural::{Kind, from_name, procedural};
+use super::procedural::{Kind, from_name, procedural, procedural_pieces};
 use super::*;
 use crate::{Colors, Columns, Rgb, Run};
 
@@ -31,16 +31,9 @@ fn opts(flags: &str) -> ReadOptions {
     Cli::try_parse_from(["x"].into_iter().chain(flags.split_whitespace())).unwrap().read
 }
 
-fn read_whole(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
-    match super::read(path, bytes, opts)? {
-        World::Volume(volume) => pieces::whole(&volume),
-        World::Pieces(pieces) => pieces::whole(&*pieces),
-    }
-}
-
 /// Reads `bytes` as a file of that name and checks that what comes back keeps its promises.
 fn try_read(name: &str, bytes: &[u8], flags: &str) -> Result<Input> {
-    let input = read_whole(Path::new(name), bytes, &opts(flags))?;
+    let input = super::read(Path::new(name), bytes, &opts(flags))?;
     assert_eq!(broken_promise(&input), None);
     Ok(input)
 }
@@ -111,7 +104,7 @@ fn refuses_every_prefix_but(n: usize, name: &str, bytes: &[u8], flags: &str) {
     assert!(try_read(name, bytes, flags).is_ok());
     let (path, opts) = (Path::new(name), opts(flags));
     for len in 0..bytes.len() {
-        let outcome = read_whole(path, &bytes[..len], &opts);
+        let outcome = super::read(path, &bytes[..len], &opts);
         let all = bytes.len();
         assert!(outcome.is_err() || len + n >= all, "{name}: the first {len} of {all} bytes were read");
     }
@@ -124,7 +117,7 @@ fn survives_changed_bytes(name: &str, bytes: &[u8], flags: &str) {
         for value in [0, 1, 0x7F, 0x80, 0xFF, bytes[at] ^ 0x10] {
             let mut bytes = bytes.to_vec();
             bytes[at] = value;
-            if let Ok(input) = read_whole(path, &bytes, &opts) {
+            if let Ok(input) = super::read(path, &bytes, &opts) {
                 assert_eq!(broken_promise(&input), None, "{name}: byte {at} = {value}");
             }
         }
@@ -523,7 +516,7 @@ fn heightmap_refuses_damaged_images() {
         for value in [0, 1, 0x7F, 0xFF] {
             let mut bytes = tiff.clone();
             bytes[at] = value;
-            if let Ok(input) = read_whole(path, &bytes, &opts) {
+            if let Ok(input) = super::read(path, &bytes, &opts) {
                 assert_eq!(broken_promise(&input), None, "byte {at} = {value}");
             }
         }
@@ -878,7 +871,7 @@ fn made(scene: Result<Box<dyn Pieces>>) -> Columns {
 fn procedural_scenes_keep_their_promises_at_any_size() {
     for kind in Kind::value_variants() {
         for size in [1, 2, 7, 27, 81] {
-            match procedural(*kind, size, 3).and_then(|p| pieces::whole(&*p)) {
+            match procedural(*kind, size, 3) {
                 Ok(input) => {
                     assert_eq!(broken_promise(&input), None, "{kind:?} {size}");
                     assert_eq!([input.columns.nx(), input.columns.nz()], [size; 2]);
@@ -895,11 +888,11 @@ fn procedural_scenes_keep_their_promises_at_any_size() {
 #[test]
 fn procedural_scenes_depend_on_the_seed_and_nothing_else() {
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing, Kind::Shapes] {
-        let a = made(procedural(kind, 64, 5));
-        assert_eq!(a, one_thread.install(|| made(procedural(kind, 64, 5))), "{kind:?}");
-        assert_ne!(a, made(procedural(kind, 64, 6)), "{kind:?}");
-        assert_ne!(a, made(procedural(kind, 64, 5 + (1 << 32))), "{kind:?}: high half of the seed");
+    for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing, Kind::Shapes, Kind::Scan, Kind::Serpent, Kind::City] {
+        let a = made(procedural_pieces(kind, 64, 5));
+        assert_eq!(a, one_thread.install(|| made(procedural_pieces(kind, 64, 5))), "{kind:?}");
+        assert_ne!(a, made(procedural_pieces(kind, 64, 6)), "{kind:?}");
+        assert_ne!(a, made(procedural_pieces(kind, 64, 5 + (1 << 32))), "{kind:?}: high half of the seed");
     }
 }
 
@@ -908,7 +901,7 @@ fn procedural_scenes_tile() {
     // Across the seam neighbouring columns differ about as much as anywhere else; a scene shifted against itself
     // (the planted fault) differs far more.
     for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing] {
-        let c = made(procedural(kind, 128, 1));
+        let c = made(procedural_pieces(kind, 128, 1));
         let differ = |a: &[Run], b: &[Run]| {
             let column = |runs: &[Run]| {
                 (0..c.ny()).map(|y| runs.iter().any(|r| (r.first().into()..r.end()).contains(&y))).collect::<Vec<_>>()
@@ -925,7 +918,7 @@ fn procedural_scenes_tile() {
 
 #[test]
 fn procedural_landscapes_have_what_height_maps_cannot_hold() {
-    let c = made(procedural(Kind::Terrain, 256, 1));
+    let c = made(procedural_pieces(Kind::Terrain, 256, 1));
     let several = c.offsets().windows(2).filter(|w| w[1] - w[0] > 1).count();
     assert!(several * 10 > 256 * 256, "{several} columns of several runs");
     // Nothing falls out of the world.

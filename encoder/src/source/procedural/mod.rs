@@ -7,16 +7,22 @@
 //! | `mixing` | turbulent mixing layer (Richtmyer–Meshkov-like) | yes | side of the cube |
 //! | `menger` | Menger sponge | yes | 3 to the `level` |
 //! | `shapes` | coloured solids, arches and lattices on a floor | no | side of the cube |
+//! | `scan` | tree in a pot as a scanner sees it: thin noisy sheets | no | side of the cube |
+//! | `serpent` | coiled, scaly, hollow closed surface | no | side of the cube |
+//! | `city` | houses with rooms, floors and windows | sides of whole blocks | columns a side; a quarter as high |
 
+mod city;
 mod landscape;
 mod menger;
 mod mixing;
 pub mod noise;
+mod scan;
+mod serpent;
 mod shapes;
 
 use clap::ValueEnum;
 
-use crate::pieces::{InMemory, Pieces};
+use crate::pieces::{self, InMemory, Pieces};
 use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Kinds of procedural scenes.
@@ -27,14 +33,17 @@ pub enum Kind {
     Mixing,
     Menger,
     Shapes,
+    Scan,
+    Serpent,
+    City,
 }
 
 impl Kind {
     /// Side in columns where none is asked for.
     pub fn default_size(self) -> u32 {
         match self {
-            Kind::Terrain | Kind::Rocks => 1024,
-            Kind::Mixing | Kind::Shapes => 512,
+            Kind::Terrain | Kind::Rocks | Kind::City => 1024,
+            Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent => 512,
             Kind::Menger => 243,
         }
     }
@@ -43,7 +52,8 @@ impl Kind {
 /// Largest side of a landscape, in columns: its noise takes about 3 GiB.
 pub const MAX_SIZE: u32 = 8192;
 
-const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, mixing, menger (level=L), shapes";
+const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, mixing, menger (level=L), shapes, scan, serpent, \
+     city";
 
 /// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`.
 pub fn from_name(name: &str) -> Result<Box<dyn Pieces>> {
@@ -63,15 +73,20 @@ pub fn from_name(name: &str) -> Result<Box<dyn Pieces>> {
             _ => return Err(fail(format!("there is no parameter {key:?}"))),
         }
     }
-    procedural(kind, size.unwrap_or(kind.default_size()), seed)
+    procedural_pieces(kind, size.unwrap_or(kind.default_size()), seed)
 }
 
 /// Makes a scene of `size` columns a side; equal arguments give equal scenes.
-pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pieces>> {
+pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Input> {
+    pieces::whole(&*procedural_pieces(kind, size, seed)?)
+}
+
+/// The same, made piece by piece where the kind allows it.
+pub fn procedural_pieces(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pieces>> {
     let max = match kind {
-        Kind::Terrain | Kind::Rocks => MAX_SIZE,
-        // Both fill cubes: time and memory grow with the volume.
-        Kind::Mixing | Kind::Shapes => 4096,
+        Kind::Terrain | Kind::Rocks | Kind::City => MAX_SIZE,
+        // These fill cubes: time and memory grow with the volume.
+        Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent => 4096,
         Kind::Menger => 3u32.pow(menger::MAX_LEVEL),
     };
     if !(1..=max).contains(&size) {
@@ -84,6 +99,9 @@ pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pieces>> {
         Kind::Mixing => Ok(Box::new(mixing::make(size, seed))),
         Kind::Menger => Ok(Box::new(menger::make(size)?)),
         Kind::Shapes => in_memory(shapes::make(size, seed)),
+        Kind::Scan => in_memory(scan::make(size, seed)),
+        Kind::Serpent => in_memory(serpent::make(size, seed)),
+        Kind::City => in_memory(city::make(size, seed)),
     }
 }
 

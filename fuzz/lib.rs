@@ -1,0 +1,108 @@
+//! What all targets share: bytes go in, and what comes out is an error or keeps its promises.
+
+use std::path::Path;
+
+use bytemuck::pod_read_unaligned;
+use planecast_encoder::format::{Header, TileEntry};
+use planecast_encoder::source::{Dtype, Format, ReadOptions, Up, read};
+use planecast_encoder::write::write_scene_to;
+use planecast_encoder::{Colors, Input, PcastFile, Scene};
+use xxhash_rust::xxh3::xxh3_64;
+
+/// Voxels and runs beyond which a world is not looked at voxel by voxel: libFuzzer wants many small runs.
+const SMALL: usize = 1 << 16;
+
+/// Reads bytes as a file of a format. The first two choose flags.
+pub fn import(format: Format, bytes: &[u8]) {
+    let [flags, iso, bytes @ ..] = bytes else { return };
+    let mut options = ReadOptions {
+        format: Some(format),
+        up: (flags & 1 != 0).then_some(Up::Z),
+        iso: (flags & 2 != 0).then_some(f64::from(*iso) - 64.0),
+        height_scale: (flags & 4 != 0).then_some(f64::from(*iso) / 16.0 - 2.0),
+        ..ReadOptions::default()
+    };
+    let mut bytes = bytes;
+    if format == Format::Raw {
+        let [x, y, z, dtype, rest @ ..] = bytes else { return };
+        use Dtype::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
+        options.dims = Some([x, y, z].map(|&n| u64::from(n)));
+        options.dtype = Some([U8, I8, U16, I16, U32, I32, U64, I64, F32, F64][usize::from(*dtype) % 10]);
+        bytes = rest;
+    }
+    let_guards_work();
+    if let Ok(input) = read(Path::new("fuzzed"), bytes, &options) {
+        check(&input);
+    }
+}
+
+/// A decoder of somebody else's may panic where the importer catches it: only what gets past that is a finding, which
+/// libFuzzer sees without its own hook too.
+fn let_guards_work() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| std::panic::set_hook(Box::new(|panic| eprintln!("{panic}"))));
+}
+
+/// What [`Input`] promises.
+fn check(input: &Input) {
+    let columns = &input.columns;
+    let [nx, ny, nz] = columns.dims();
+    assert!(nx > 0 && ny > 0 && nz > 0 && ny <= 65_536);
+    let n = nx as usize * nz as usize;
+    for ix in (0..n).take(SMALL) {
+        let runs = &columns.runs()[columns.range(ix)];
+        assert!(runs.windows(2).all(|w| w[0].end() < u32::from(w[1].first())), "column {ix}: {runs:?}");
+        assert!(runs.iter().all(|r| r.first() <= r.last() && r.end() <= ny), "column {ix}: {runs:?}");
+    }
+    match &input.colors {
+        Colors::Column(colors) => assert_eq!(colors.len(), n),
+        Colors::Run(colors) => assert_eq!(colors.len(), columns.runs().len()),
+        Colors::Voxel { offsets, entries } => {
+            assert_eq!(offsets.len(), n + 1);
+            assert_eq!(*offsets.last().unwrap() as usize, entries.len());
+        }
+        Colors::None | Colors::Function(_) => {}
+    }
+}
+
+/// Reads bytes as a scene, with every checksum made right first: what is behind them must stand alone.
+pub fn scene(bytes: &[u8]) {
+    let mut bytes = bytes.to_vec();
+    reseal(&mut bytes);
+    let Ok(file) = PcastFile::from_bytes("fuzzed.pcast", bytes) else { return };
+    for (x, y, z) in [(0, 0, 0), (1, 8, 1), (1, 259, 1), (255, 65_535, 256), (-1, 0, 0)] {
+        let _ = file.query(x, y, z);
+    }
+    if let Ok(scene) = file.read_scene() {
+        let again = PcastFile::from_bytes("again.pcast", written(&scene)).and_then(|f| f.read_scene());
+        assert!(again.expect("what was read can be written and read") == scene);
+    }
+}
+
+fn written(scene: &Scene) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    write_scene_to(scene, &mut bytes, Path::new("again.pcast")).expect("memory takes it");
+    bytes.into_inner()
+}
+
+fn reseal(bytes: &mut [u8]) {
+    let Some(header) = bytes.get(..size_of::<Header>()) else { return };
+    let header: Header = pod_read_unaligned(header);
+    let len = bytes.len() as u64;
+    bytes[40..48].copy_from_slice(&len.to_le_bytes());
+    let start = header.directory as usize;
+    if let Some(end) = start.checked_add(48 * header.n_tiles as usize).filter(|&end| end <= bytes.len()) {
+        for at in (start..end).step_by(48) {
+            let entry: TileEntry = pod_read_unaligned(&bytes[at..at + 48]);
+            let from = entry.offset as usize;
+            let blob = from.checked_add(entry.len as usize).and_then(|end| bytes.get(from..end));
+            if let Some(checksum) = blob.map(xxh3_64) {
+                bytes[at + 8..at + 16].copy_from_slice(&checksum.to_le_bytes());
+            }
+        }
+        let checksum = xxh3_64(&bytes[start..end]);
+        bytes[48..56].copy_from_slice(&checksum.to_le_bytes());
+    }
+    let checksum = xxh3_64(&bytes[..56]);
+    bytes[56..64].copy_from_slice(&checksum.to_le_bytes());
+}
