@@ -45,6 +45,8 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Encode(planecast_encoder::cli::EncodeArgs),
+    Merge(planecast_encoder::cli::MergeArgs),
+    Verify(planecast_encoder::cli::VerifyArgs),
     Decode(planecast_encoder::cli::DecodeArgs),
     Info(planecast_encoder::cli::InfoArgs),
     Query(planecast_encoder::cli::QueryArgs),
@@ -286,6 +288,9 @@ pub struct DrawArgs {
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
+    /// Draw a scene with broken tiles, those as empty
+    #[arg(long)]
+    skip_broken: bool,
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -470,8 +475,8 @@ fn tell(what: &str) {
     eprintln!("{what}");
 }
 
-fn open_scene(path: &FilePath) -> Result<Scene> {
-    Ok(PcastFile::open(path)?.read_scene()?)
+fn open_scene(path: &FilePath, skip_broken: bool) -> Result<Scene> {
+    Ok(planecast_encoder::cli::read_scene(&PcastFile::open(path)?, skip_broken)?)
 }
 
 /// Every output once and over no input, and each can be written as far as that can be known before.
@@ -499,7 +504,7 @@ impl RenderArgs {
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let scene = open_scene(&self.scene)?;
+        let scene = open_scene(&self.scene, self.draw.skip_broken)?;
         let camera = self.pose(&scene).camera(self.size);
         let resident = Resident::new(&scene);
         let outputs = Outputs { voxel: self.voxel.is_some() };
@@ -556,7 +561,7 @@ impl FlyArgs {
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         let file = PcastFile::open(&self.scene)?;
         let content = info::info(&file)?.content_hash;
-        let scene = file.read_scene()?;
+        let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
         let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));
         if let Some(file) = &self.save_path {
@@ -676,7 +681,7 @@ fn stop_on_ctrl_c() -> &'static AtomicBool {
 
 impl PickArgs {
     fn run(&self) -> Result<()> {
-        let report = pick::report(&open_scene(&self.scene)?, self.from, self.dir)?;
+        let report = pick::report(&open_scene(&self.scene, false)?, self.from, self.dir)?;
         print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
     }
 }
@@ -706,6 +711,8 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
     };
     exit(match cli.command {
         Command::Encode(args) => args.run().map_err(Error::from),
+        Command::Merge(args) => args.run().map_err(Error::from),
+        Command::Verify(args) => args.run().map_err(Error::from),
         Command::Decode(args) => args.run().map_err(Error::from),
         Command::Info(args) => args.run().map_err(Error::from),
         Command::Query(args) => args.run().map_err(Error::from),
