@@ -870,7 +870,7 @@ mod tests {
         let other = EncodeOptions { settings: 7, ..opts };
         let sub = dir.path().join("sub");
         std::fs::create_dir(&sub).unwrap();
-        let others = parts(&sub, &other, &[4..9]);
+        let others = parts(&sub, &other, std::slice::from_ref(&(4..9)));
         assert!(refused(&[good[0].clone(), others[0].clone()]).contains("a part of another scene than"));
         // The same name for another world: tiles that overlap differ.
         let world = InMemory::new(testing::input(Columns::from_fn(520, 24, 515, |_, y, _| y < 3), true));

@@ -7,6 +7,7 @@
 //!
 //! ```text
 //! file ──source──► Input ──build──► Scene ──write──► .pcast ──read──► Scene
+//! file ──source──► Pieces ──────encode, by tiles──────► .pcast           within a budget of memory, the same bytes
 //! ```
 
 pub mod build;

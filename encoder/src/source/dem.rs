@@ -12,6 +12,9 @@ const RECORD: usize = 1024;
 /// A value that stands for none.
 const NO_DATA: f64 = -32_767.0;
 
+/// Where a profile starts, east and north, and its heights from south to north.
+type Profile = (f64, f64, Vec<f32>);
+
 /// Heights in metres, north up, and the width of a pixel in metres.
 pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Heights, f64)> {
     let fault = |at: usize, what: String| Error::format(path, format!("byte {at}: USGS DEM: {what}"));
@@ -37,7 +40,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Heights, f64)> {
         return Err(fault(816, format!("{profiles} profiles {dx} apart, points {dy} apart, elevations by {dz}")));
     }
     // Each profile has a place, and its own number of points.
-    let mut found: Vec<(f64, f64, Vec<f32>)> = Vec::new();
+    let mut found: Vec<Profile> = Vec::new();
     let mut at = RECORD;
     for _ in 0..profiles as usize {
         let n = need(at + 12, 6, "the number of points of a profile")?;
@@ -62,7 +65,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Heights, f64)> {
         found.push((x, y, values));
         at = record + RECORD;
     }
-    let bound = |of: &dyn Fn(&(f64, f64, Vec<f32>)) -> f64| {
+    let bound = |of: &dyn Fn(&Profile) -> f64| {
         let values = || found.iter().map(of);
         (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
     };

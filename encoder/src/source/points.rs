@@ -133,10 +133,10 @@ impl Points {
                     if some.is_empty() {
                         return Ok(());
                     }
-                    let places = some.x().zip(some.y()).zip(some.z()).map(|((x, y), z)| turn(up, [x, y, z]));
+                    let mut places = some.x().zip(some.y()).zip(some.z()).map(|((x, y), z)| turn(up, [x, y, z]));
                     match some.rgb() {
                         Some(colors) => places.zip(colors).try_for_each(|(p, (r, g, b))| point(p, [r, g, b]))?,
-                        None => places.map(|p| point(p, [0; 3])).collect::<Result<()>>()?,
+                        None => places.try_for_each(|p| point(p, [0; 3]))?,
                     }
                 }
             })?;

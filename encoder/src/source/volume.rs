@@ -459,7 +459,8 @@ pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Res
         64 => Dtype::F64,
         other => return fail(format!("byte 70: values of NIfTI type {other}; expected integers, f32 or f64")),
     };
-    if !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) && !(pair.is_some() && header.vox_offset == 0.0) {
+    let beside = pair.is_some() && header.vox_offset == 0.0;
+    if !beside && !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) {
         return fail(format!("byte 108: values start at byte {}; expected 352 or later", header.vox_offset));
     }
     let start = header.vox_offset as u64;
