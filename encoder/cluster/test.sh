@@ -18,7 +18,8 @@ for SLURM_ARRAY_TASK_ID in 4 1 0 3 2; do
     export SLURM_ARRAY_TASK_ID
     if [ "$SLURM_ARRAY_TASK_ID" = 1 ]; then
         bash "$here/slurm.sh" "$input" slurm.pcast --encoding surface & job=$!
-        sleep 0.3
+        # As soon as it has begun to write.
+        until [ -e slurm.pcast.parts/.000001.part.unfinished ] || [ -e slurm.pcast.parts/000001.part ]; do sleep 0.01; done
         kill -KILL "$job" && wait "$job" || true
         [ ! -e slurm.pcast.parts/000001.part ] || { echo "the job was too quick to be killed"; exit 1; }
     fi
