@@ -15,7 +15,7 @@ use crate::resident::Resident;
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, MipRule, Scene, build};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Rays a pixel of the truth's colour along each axis.
 pub const SUPERSAMPLING: u32 = 2;
@@ -28,6 +28,9 @@ pub trait Draw {
     /// Pixels that no plane reaches, before gap fill and after.
     fn holes(&mut self, config: &Config, camera: &Camera) -> [u64; 2];
 }
+
+/// How long an idle GPU takes to reach its clock, or longer.
+pub(crate) const GPU_WAKES: Duration = Duration::from_millis(200);
 
 /// A scene with its levels built by one rule.
 pub struct World {
@@ -242,6 +245,7 @@ impl Plan<'_> {
             }
         }
         let start = Instant::now();
+        let mut gpu_awake = false;
         for round in 0..self.rounds {
             let mut told = false;
             for pose in self.poses {
@@ -256,8 +260,17 @@ impl Plan<'_> {
                         told = true;
                     }
                     let camera = self.camera(config, pose);
-                    // Buffers take their sizes and caches fill in a frame that is not counted.
-                    draw.draw(config, &camera, Outputs::default())?;
+                    // Buffers take their sizes and caches fill in a frame that is not counted. A GPU takes its time to reach
+                    // its clock once the CPU was busy.
+                    let on_gpu = matches!(config.backend, Backend::Gpu(_));
+                    let clock = Instant::now();
+                    loop {
+                        draw.draw(config, &camera, Outputs::default())?;
+                        if !on_gpu || gpu_awake || clock.elapsed() > GPU_WAKES {
+                            break;
+                        }
+                    }
+                    gpu_awake = on_gpu;
                     let stats = draw.draw(config, &camera, Outputs::default())?.stats;
                     let stages = stats.gpu_ms.or(stats.cpu_ms).unwrap_or_default();
                     journal.add(self.entry(config, pose, Figures::Time { round, stages }))?;
