@@ -25,7 +25,10 @@ fn fails(mut command: Command) -> String {
     let text = String::from_utf8(output.stderr).unwrap();
     let said: Vec<&str> = text.lines().filter(|l| !l.starts_with("drawing on")).collect();
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!((1..=2).contains(&said.len()) && said[0].starts_with("planecast: ") && !text.contains("panicked"), "{text}");
+    assert!(
+        (1..=2).contains(&said.len()) && said[0].starts_with("planecast: ") && !text.contains("panicked"),
+        "{text}"
+    );
     said.join("\n")
 }
 

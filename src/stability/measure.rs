@@ -43,6 +43,17 @@ impl<'a> Drawer<'a> {
         Drawer { device: "cpu".into(), kernel: "planes".into(), exact: false, draw: Box::new(draw) }
     }
 
+    /// Planes on the CPU, walked in f64.
+    pub fn cpu_f64(world: &'a World) -> Drawer<'a> {
+        let mut planes = Drawer::cpu(world);
+        planes.kernel = "planes, f64".into();
+        let mut draw = planes.draw;
+        planes.draw = Box::new(move |camera: &Camera, options: &Options| {
+            draw(camera, &Options { f64_traversal: true, ..*options })
+        });
+        planes
+    }
+
     /// A kernel of the GPU, with wgpu's runtime checks or without.
     #[cfg(feature = "gpu")]
     pub fn gpu(world: &'a World, kernel: crate::Kernel, trusted: bool) -> Result<Drawer<'a>> {
