@@ -60,12 +60,14 @@ fn sky(frame: &Frame) -> usize {
 /// Pixels on the wrong side of a silhouette by more than `reach` pixels.
 fn notches(frame: &Frame, exact: &Frame, reach: usize) -> usize {
     let (w, h) = (frame.width as usize, frame.height as usize);
-    let near = |v: usize, n: usize| v.saturating_sub(reach)..(v + reach + 1).min(n);
-    let wrong = |&i: &usize| {
-        let is_sky = frame.voxel[i] == SKY;
-        near(i / w, h).all(|y| near(i % w, w).all(|x| (exact.voxel[y * w + x] == SKY) != is_sky))
+    let near = |v: usize| v - reach..=v + reach;
+    let wrong = |&(x, y): &(usize, usize)| {
+        let is_sky = frame.voxel[y * w + x] == SKY;
+        near(y).all(|y| near(x).all(|x| (exact.voxel[y * w + x] == SKY) != is_sky))
     };
-    (0..w * h).filter(wrong).count()
+    // What lies beyond the image's edge is not known.
+    let inner = (reach..h - reach).flat_map(|y| (reach..w - reach).map(move |x| (x, y)));
+    inner.filter(wrong).count()
 }
 
 #[test]
@@ -174,17 +176,17 @@ fn strange(a: &Frame, b: &Frame) -> f64 {
 #[test]
 fn nearly_level_views_show_what_level_ones_show() {
     let world = WorldName::Rocks.make();
-    for eye in [[30.3, 45.2, 60.4], [20.3, 70.2, 30.6]] {
+    for eye in [[30.3, 62.2, 60.4], [20.3, 70.2, 30.6]] {
         for options in [plain(), without_end(20_000.0)] {
-            let level = draw(&world, &camera(eye, [211.0, 0.0, 0.0]), &options);
+            let level = draw(&world, &camera(eye, [31.0, 0.0, 0.0]), &options);
             for k in 4..=12 {
                 for pitch in [10f64.powi(-k), -(10f64.powi(-k))] {
-                    let near = draw(&world, &camera(eye, [211.0, pitch, 0.0]), &options);
+                    let near = draw(&world, &camera(eye, [31.0, pitch, 0.0]), &options);
                     assert!(strange(&near, &level) <= 0.5, "pitch {pitch:e}: {} %", strange(&near, &level));
                 }
             }
-            let other = draw(&world, &camera(eye, [251.0, -12.0, 0.0]), &options);
-            assert!(strange(&other, &level) > 0.5, "a view of another pitch is caught");
+            let other = draw(&world, &camera(eye, [31.0, -12.0, 0.0]), &options);
+            assert!(strange(&other, &level) > 0.5, "a view of another pitch is caught: {} %", strange(&other, &level));
         }
     }
 }
@@ -241,7 +243,7 @@ fn fans_are_even_and_whole_however_they_degenerate() {
     }
     let at = camera([5.0; 3], [20.0, -30.0, 5.0]);
     let mut planted = plane_setup(&world.resident, &at, &Options { readjust: false, ..plain() });
-    planted.fans[1].start += 3.0;
+    planted.fans.iter_mut().for_each(|fan| fan.start += 3.0);
     assert!(beside_their_stripe(&planted, &at) > 0);
 }
 
