@@ -176,7 +176,7 @@ fn strange(a: &Frame, b: &Frame) -> f64 {
 #[test]
 fn nearly_level_views_show_what_level_ones_show() {
     let world = WorldName::Rocks.make();
-    for eye in [[30.3, 62.2, 60.4], [20.3, 70.2, 30.6]] {
+    for eye in [[30.3, 62.2, 60.4], [20.3, 40.2, 62.6]] {
         for options in [plain(), without_end(20_000.0)] {
             let level = draw(&world, &camera(eye, [31.0, 0.0, 0.0]), &options);
             for k in 4..=12 {
@@ -186,7 +186,7 @@ fn nearly_level_views_show_what_level_ones_show() {
                 }
             }
             let other = draw(&world, &camera(eye, [31.0, -12.0, 0.0]), &options);
-            assert!(strange(&other, &level) > 0.5, "a view of another pitch is caught: {} %", strange(&other, &level));
+            assert!(strange(&other, &level) > 0.5, "a view of another pitch is caught");
         }
     }
 }
