@@ -4,8 +4,8 @@
 //! through whole worlds with every kernel and prints medians with work counters beside them (`PLANECAST_BENCH_SIZE`,
 //! `PLANECAST_BENCH_POSES` and `PLANECAST_BENCH_PIXELS=WxH` change the columns a side, the poses and the picture). Neither
 //! counts the host's plane setup, the upload or the read-back. Where a name is that of a file (any that `encode` reads), the
-//! flight is a stroll over the ground at level 0, not repeated: [`stroll`]. `--film` counts frames a second with their
-//! read-back, one at a time and several on their way.
+//! flight is a stroll over the ground at level 0, not repeated: [`stroll`]; `--poses` writes it as JSON, for peers.
+//! `--film` counts frames a second with their read-back, one at a time and several on their way.
 
 use criterion::{BenchmarkId, Criterion};
 use planecast::gpu::bench::{Entry, film, flythrough, poses, stroll};
@@ -44,9 +44,10 @@ fn options(name: &str) -> Options {
     Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, planes, ..Options::default() }
 }
 
-/// Every kernel, and `workgroup` with each number of lanes and with wgpu's runtime checks.
-const KERNELS: &str = "workgroup workgroup:32 workgroup:64 workgroup:128 workgroup:256 workgroup:checked raycast \
-                       invocation invocation:8";
+/// Every kernel: `workgroup` also with other numbers of lanes and with wgpu's runtime checks, `invocation` with the paper's
+/// mapping (its default, 32 planes a workgroup) and with one plane a workgroup.
+const KERNELS: &str = "workgroup workgroup:32 workgroup:64 workgroup:128 workgroup:192 workgroup:256 workgroup:checked raycast \
+                       invocation invocation:1";
 
 /// `KERNEL[:LANES|:checked]`.
 fn entry(text: &str) -> Entry {
@@ -103,6 +104,23 @@ fn table(names: &[String]) {
     }
 }
 
+/// A stroll's cameras as JSON: axes of the world, y up, and angles in degrees; `depth`: voxels from bottom to top.
+fn write_poses(names: &[String]) {
+    let (width, height) = pixels();
+    for name in names {
+        let (scene, resident) = scene(name, 0);
+        let pose = |camera: &Camera| {
+            let Camera { eye, yaw, pitch, fov, .. } = *camera;
+            let axes = camera.basis();
+            let [eye, right, up, forward] = [eye, axes.right, axes.up, axes.forward].map(|v| v.to_array());
+            serde_json::json!({"eye": eye, "yaw": yaw, "pitch": pitch, "fov": fov, "right": right, "up": up, "forward": forward})
+        };
+        let poses: Vec<_> = stroll(&resident, width, height).iter().map(pose).collect();
+        let depth = scene.dims()[1];
+        println!("{}", serde_json::json!({"width": width, "height": height, "depth": depth, "poses": poses}));
+    }
+}
+
 fn stages(c: &mut Criterion) {
     let size = setting("PLANECAST_BENCH_SIZE", 256);
     for name in ["rocks", "mixing"] {
@@ -139,7 +157,7 @@ fn stages(c: &mut Criterion) {
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
-    for (flag, run) in [("--table", table as fn(&[String])), ("--film", films)] {
+    for (flag, run) in [("--table", table as fn(&[String])), ("--film", films), ("--poses", write_poses)] {
         if let Some(at) = arguments.iter().position(|a| a == flag) {
             let mut names = arguments[at + 1..].to_vec();
             if names.is_empty() {

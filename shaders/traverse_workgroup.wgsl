@@ -8,12 +8,12 @@
 //
 //   key | slice and column 20 | run 12 |   0: shown already, ~0: open; run saturates, the rest is then searched for
 //
-// Workgroup memory decides how many planes a processor holds at once, so there is one key a sample, and for each block
-// of BLOCK samples three more. Most spans reach the window's lower end (ground is solid down from its surface), some its
-// upper end: such a span is noted once, at the last block that it fills (`rising`, `hanging`), and a block shows the
-// least key noted from there on (`settle`). That holds over batches too: a later span has a greater key than whatever
-// closed the window before it. A span that floats in the window is noted at each block it fills, and every span at the
-// samples of the blocks that it fills in part.
+// Spans are noted at blocks of 16 samples, at aligned fours and at single samples, the longest that fit (`fill`): a near
+// column's span is hundreds of samples long, and the lane that draws it keeps all others waiting. Most spans reach the
+// window's lower end (ground is solid down from its surface), some its upper end: such a span is noted once, at the last
+// block that it fills (`rising`, `hanging`), and a block shows the least key noted from there on (`settle`). That holds
+// over batches too: a later span has a greater key than whatever closed the window before it. Rows take
+// workgroup memory and are all read at the end, so they are few: one for each power of two was measured to take longer.
 //
 // Ahead of the batches, groups of GROUP slices are tested against the height bounds of the blocks they meet, a lane a
 // group, once more before each batch with the window as it is then; only those that can show are walked.
@@ -28,7 +28,8 @@ override WIDTH: u32 = 128u;
 override FINE: u32 = 1024u;
 // Samples of a block.
 const BLOCK: i32 = 16;
-const RISE: i32 = 4;
+// Keys of all rows.
+override KEYS: u32 = FINE + FINE / 4u + 3u * (FINE / 16u);
 
 const OPEN: u32 = 0xffffffffu;
 const RUN_BITS: u32 = 12u;
@@ -37,12 +38,13 @@ const RUN_MANY: u32 = 4095u;
 const EPOCH: i32 = 520000;
 const GROUP: i32 = BLOCK_SIZE;
 
-// Rows: a key a sample; then a key a block of what fills it, of what fills all below it, of what fills all above it.
+// Rows: a key a sample; then a key a block of what fills it, of what fills all below it, of what fills all above it; then
+// one for every four samples.
 //!if STORAGE_KEYS
 @group(0) @binding(7) var<storage, read_write> keys: array<atomic<u32>>;
 var<private> keys_at: u32;
 //!else
-var<workgroup> keys: array<atomic<u32>, FINE + FINE / 8u + FINE / 4u>;
+var<workgroup> keys: array<atomic<u32>, KEYS>;
 const keys_at: u32 = 0u;
 //!endif
 
@@ -119,11 +121,15 @@ fn hanging(j: i32) -> u32 {
 }
 
 fn rising(j: i32) -> u32 {
-    return keys_at + FINE + FINE / 8u + u32(j) / u32(RISE);
+    return keys_at + FINE + 2u * (FINE / 16u) + u32(j) / u32(BLOCK);
+}
+
+fn four(j: i32) -> u32 {
+    return keys_at + FINE + 3u * (FINE / 16u) + u32(j) / 4u;
 }
 
 fn key_of(j: i32) -> u32 {
-    return min(atomicLoad(&keys[sample(j)]), atomicLoad(&keys[filled(j)]));
+    return min(atomicLoad(&keys[sample(j)]), min(atomicLoad(&keys[four(j)]), atomicLoad(&keys[filled(j)])));
 }
 
 fn is_open(j: i32) -> bool {
@@ -239,7 +245,7 @@ fn begin(lane: u32) {
     ahead_minor = select(0, 1, step_minor > 0);
     repeats_major = select(frame.repeat_z, frame.repeat_x, along_x) == 1u;
     repeats_minor = select(frame.repeat_x, frame.repeat_z, along_x) == 1u;
-    for (var i = lane; i < FINE + FINE / 8u + FINE / 4u; i += WIDTH) {
+    for (var i = lane; i < KEYS; i += WIDTH) {
         atomicStore(&keys[keys_at + i], OPEN);
     }
     if (lane < 3u) {
@@ -506,7 +512,7 @@ fn draw(shows: vec2<bool>, h0: vec2<f32>, h1: vec2<f32>, t0: vec2<f32>, t1: vec2
     reach_hi = select(reach_hi, min(reach_hi, j.y), hangs.y);
     n_spans += select(0u, 1u, drawn.x) + select(0u, 1u, drawn.y);
     // The samples that blocks leave.
-    let start = select(j, max(j1 & vec2(~(RISE - 1)), closed), rises);
+    let start = select(j, max(j1 & vec2(~(BLOCK - 1)), closed), rises);
     let end = select(select(j, j1, drawn), min((j + (BLOCK - 1)) & vec2(~(BLOCK - 1)), vec2(hi)), hangs);
     let floating = drawn & !rises & !hangs;
     if (any(floating)) {
@@ -523,7 +529,7 @@ fn note(start: i32, end: i32, key: u32, rises: bool, hangs: bool) {
     }
 }
 
-// Both columns' samples in one loop, a block at once where it is filled.
+// Both columns' samples in one loop: a block at once where it is filled, else four, else one.
 fn fill(start: vec2<i32>, end: vec2<i32>, key: vec2<u32>) {
     var j = start;
     loop {
@@ -532,13 +538,14 @@ fn fill(start: vec2<i32>, end: vec2<i32>, key: vec2<u32>) {
             break;
         }
         let whole = ((j & vec2(BLOCK - 1)) == vec2(0)) & (j + BLOCK <= end);
+        let part = ((j & vec2(3)) == vec2(0)) & (j + 4 <= end);
         if (open.x) {
-            atomicMin(&keys[select(sample(j.x), filled(j.x), whole.x)], key.x);
+            atomicMin(&keys[select(select(sample(j.x), four(j.x), part.x), filled(j.x), whole.x)], key.x);
         }
         if (open.y) {
-            atomicMin(&keys[select(sample(j.y), filled(j.y), whole.y)], key.y);
+            atomicMin(&keys[select(select(sample(j.y), four(j.y), part.y), filled(j.y), whole.y)], key.y);
         }
-        j += select(vec2(1), vec2(BLOCK), whole);
+        j += select(select(vec2(1), vec2(4), part), vec2(BLOCK), whole);
     }
 }
 
@@ -583,10 +590,8 @@ fn settle(lane: u32) {
     let end = select(first, min(first + each, i32(FINE)), lane < 32u);
     var rise = OPEN;
     var hang = OPEN;
-    for (var j = first; j < end; j += RISE) {
-        rise = min(rise, atomicLoad(&keys[rising(j)]));
-    }
     for (var j = first; j < end; j += BLOCK) {
+        rise = min(rise, atomicLoad(&keys[rising(j)]));
         hang = min(hang, atomicLoad(&keys[hanging(j)]));
     }
     if (lane < 32u) {
@@ -600,7 +605,7 @@ fn settle(lane: u32) {
         rise = min(rise, select(OPEN, listed[k], k > lane));
         hang = min(hang, select(OPEN, listed[k + 32u], k < lane));
     }
-    for (var j = end - RISE; j >= first; j -= RISE) {
+    for (var j = end - BLOCK; j >= first; j -= BLOCK) {
         rise = min(rise, atomicLoad(&keys[rising(j)]));
         atomicStore(&keys[rising(j)], rise);
     }
@@ -630,7 +635,7 @@ fn resolve(lane: u32, epoch: i32, over: bool) {
     }
     if (!over) {
         sync();
-        for (var i = FINE / 16u + lane; i < FINE / 8u + FINE / 4u; i += WIDTH) {
+        for (var i = FINE / 16u + lane; i < 3u * (FINE / 16u); i += WIDTH) {
             atomicStore(&keys[keys_at + FINE + i], OPEN);
         }
         sync();
@@ -698,9 +703,9 @@ fn main(
     if (index >= frame.n_planes) {
         return;
     }
-    sight_begin(index);
+    sight_begin(planes[index].turn);
 //!if STORAGE_KEYS
-    keys_at = index * (FINE + FINE / 8u + FINE / 4u);
+    keys_at = index * KEYS;
 //!endif
     begin(lane);
     let groups = level_group[frame.levels];

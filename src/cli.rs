@@ -45,6 +45,8 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Encode(planecast_encoder::cli::EncodeArgs),
+    Merge(planecast_encoder::cli::MergeArgs),
+    Verify(planecast_encoder::cli::VerifyArgs),
     Decode(planecast_encoder::cli::DecodeArgs),
     Info(planecast_encoder::cli::InfoArgs),
     Query(planecast_encoder::cli::QueryArgs),
@@ -53,9 +55,9 @@ pub enum Command {
     Pick(PickArgs),
     Demo(DemoArgs),
     #[cfg(feature = "report")]
-    Report(ReportArgs),
-    #[cfg(feature = "report")]
     Bench(BenchArgs),
+    #[cfg(feature = "report")]
+    Report(ReportArgs),
 }
 
 /// Draw one picture of a scene
@@ -157,6 +159,30 @@ pub struct DemoArgs {
     output: PathBuf,
 }
 
+/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
+///
+/// Leaves CSV, JSON, plots and one page (bench.html) in a folder. A run that was stopped goes on: the same command again.
+#[cfg(feature = "report")]
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Folder for the files; made if it is not there
+    #[arg(short, long, value_name = "DIR", default_value = "bench")]
+    output: PathBuf,
+    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
+    #[arg(long)]
+    quick: bool,
+    /// Parts to measure [default: all]
+    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
+    only: Vec<Part>,
+    /// What draws beside the CPU
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    device: bench::Device,
+    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
+    /// serpent or city
+    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
+    scene: Vec<(bench::scenes::Name, PathBuf)>,
+}
+
 /// Measure error against time: which flags give which error in how long, on this machine and scene
 ///
 /// Leaves report.html, report.csv, report.json, plots (SVG) and pictures (PNG) in a folder. What is measured is kept there
@@ -200,36 +226,12 @@ pub struct ReportArgs {
     /// Choose: the least error that takes at most this long a frame
     #[arg(long, value_name = "T", value_parser = positive)]
     budget_ms: Option<f64>,
-    /// Choose: the fastest whose mean FLIP is at most this (0 is perfect, 1 is worst)
+    /// Choose: the fastest whose mean FLIP against one exact ray a pixel is at most this (0 to 1)
     #[arg(long, value_name = "E", value_parser = positive)]
     max_error: Option<f64>,
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-}
-
-/// Measure the tables of Forstmann & Ohya 2009 and 2010 here, beside their own figures
-///
-/// Leaves CSV, JSON, plots and one page (index.html) in a folder. A run that was stopped goes on: the same command again.
-#[cfg(feature = "report")]
-#[derive(Debug, Args)]
-pub struct BenchArgs {
-    /// Folder for the files; made if it is not there
-    #[arg(short, long, value_name = "DIR", default_value = "bench")]
-    output: PathBuf,
-    /// Within two minutes on two cores: smaller scenes and pictures, fewer frames
-    #[arg(long)]
-    quick: bool,
-    /// Parts to measure [default: all]
-    #[arg(long, value_enum, value_name = "PART,...", value_delimiter = ',')]
-    only: Vec<Part>,
-    /// What draws beside the CPU
-    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
-    device: bench::Device,
-    /// Take a file (any that encode reads, or .pcast) in place of a procedural scene: shapes, landscape, mixing, scan,
-    /// serpent or city
-    #[arg(long, value_name = "NAME=FILE", value_parser = bench::scene_file)]
-    scene: Vec<(bench::scenes::Name, PathBuf)>,
 }
 
 /// How to draw, for pictures and films alike.
@@ -286,6 +288,9 @@ pub struct DrawArgs {
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
+    /// Draw a scene with broken tiles, those as empty
+    #[arg(long)]
+    skip_broken: bool,
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -470,8 +475,8 @@ fn tell(what: &str) {
     eprintln!("{what}");
 }
 
-fn open_scene(path: &FilePath) -> Result<Scene> {
-    Ok(PcastFile::open(path)?.read_scene()?)
+fn open_scene(path: &FilePath, skip_broken: bool) -> Result<Scene> {
+    Ok(planecast_encoder::cli::read_scene(&PcastFile::open(path)?, skip_broken)?)
 }
 
 /// Every output once and over no input, and each can be written as far as that can be known before.
@@ -499,7 +504,7 @@ impl RenderArgs {
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let scene = open_scene(&self.scene)?;
+        let scene = open_scene(&self.scene, self.draw.skip_broken)?;
         let camera = self.pose(&scene).camera(self.size);
         let resident = Resident::new(&scene);
         let outputs = Outputs { voxel: self.voxel.is_some() };
@@ -556,7 +561,7 @@ impl FlyArgs {
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         let file = PcastFile::open(&self.scene)?;
         let content = info::info(&file)?.content_hash;
-        let scene = file.read_scene()?;
+        let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
         let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));
         if let Some(file) = &self.save_path {
@@ -605,6 +610,20 @@ impl FlyArgs {
 }
 
 #[cfg(feature = "report")]
+impl BenchArgs {
+    fn run(&self) -> Result<()> {
+        let settings = bench::Settings {
+            output: self.output.clone(),
+            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
+            device: self.device,
+            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
+            files: self.scene.iter().cloned().collect(),
+        };
+        bench::run(&settings, &mut tell)
+    }
+}
+
+#[cfg(feature = "report")]
 impl ReportArgs {
     fn run(&self) -> Result<()> {
         set_threads(self.threads)?;
@@ -647,20 +666,6 @@ impl ReportArgs {
     }
 }
 
-#[cfg(feature = "report")]
-impl BenchArgs {
-    fn run(&self) -> Result<()> {
-        let settings = bench::Settings {
-            output: self.output.clone(),
-            parts: if self.only.is_empty() { Part::ALL.into() } else { self.only.clone() },
-            device: self.device,
-            extent: if self.quick { Extent::QUICK } else { Extent::FULL },
-            files: self.scene.iter().cloned().collect(),
-        };
-        bench::run(&settings, &mut tell)
-    }
-}
-
 /// A flag that Ctrl-C sets; a second one ends the program at once.
 fn stop_on_ctrl_c() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
@@ -676,7 +681,7 @@ fn stop_on_ctrl_c() -> &'static AtomicBool {
 
 impl PickArgs {
     fn run(&self) -> Result<()> {
-        let report = pick::report(&open_scene(&self.scene)?, self.from, self.dir)?;
+        let report = pick::report(&open_scene(&self.scene, false)?, self.from, self.dir)?;
         print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
     }
 }
@@ -706,6 +711,8 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
     };
     exit(match cli.command {
         Command::Encode(args) => args.run().map_err(Error::from),
+        Command::Merge(args) => args.run().map_err(Error::from),
+        Command::Verify(args) => args.run().map_err(Error::from),
         Command::Decode(args) => args.run().map_err(Error::from),
         Command::Info(args) => args.run().map_err(Error::from),
         Command::Query(args) => args.run().map_err(Error::from),
@@ -714,9 +721,9 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),
         #[cfg(feature = "report")]
-        Command::Report(args) => args.run(),
-        #[cfg(feature = "report")]
         Command::Bench(args) => args.run(),
+        #[cfg(feature = "report")]
+        Command::Report(args) => args.run(),
     })
 }
 

@@ -75,18 +75,24 @@ impl<'a> Renderer<'a> {
             },
             Device::Gpu => open_gpu(scene, resident, kernel, false)?,
         };
-        let renderer = Renderer {
+        #[cfg(feature = "gpu")]
+        if let (Backend::Gpu(gpu), Device::Auto) = (&backend, device) {
+            tell(&format!("drawing on the gpu: {}", gpu.device().0));
+        }
+        Ok(Renderer {
             backend,
             #[cfg(feature = "gpu")]
             fall_back: (device == Device::Auto).then_some((scene, resident)),
             #[cfg(feature = "gpu")]
             ahead: Ahead::new(),
-        };
-        #[cfg(feature = "gpu")]
-        if let (Backend::Gpu(gpu), Device::Auto) = (&renderer.backend, device) {
-            tell(&format!("drawing on the gpu: {}", gpu.device().0));
-        }
-        Ok(renderer)
+        })
+    }
+
+    /// Draws on a GPU that is open already, and goes on with the CPU where it fails, as `auto` does.
+    #[cfg(feature = "gpu")]
+    pub fn on_gpu(gpu: GpuRenderer<'a>) -> Renderer<'a> {
+        let fall_back = Some(gpu.draws());
+        Renderer { backend: Backend::Gpu(Box::new(gpu)), fall_back, ahead: Ahead::new() }
     }
 
     /// Draws one frame. After `auto`, a GPU that fails is replaced by the CPU for good, and `tell` hears why.

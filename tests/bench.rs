@@ -31,7 +31,7 @@ fn told(settings: &Settings) -> Result<Vec<String>> {
 }
 
 fn rows(dir: &Path) -> Vec<Row> {
-    let mut reader = csv::Reader::from_path(dir.join("rows.csv")).unwrap();
+    let mut reader = csv::Reader::from_path(dir.join("bench.csv")).unwrap();
     reader.deserialize().map(|row| row.unwrap()).collect()
 }
 
@@ -56,12 +56,12 @@ fn bench_leaves_every_file_and_tells_quoted_from_measured() {
         assert!(row.citation.starts_with("Forstmann & Ohya") && row.n == 0 && row.total_ms.is_none(), "{row:?}");
     }
     // The same rows in JSON.
-    let json: serde_json::Value = serde_json::from_str(&read("rows.json")).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&read("bench.json")).unwrap();
     let as_json: Vec<Row> = serde_json::from_value(json["rows"].clone()).unwrap();
     assert_eq!(as_json.len(), rows.len());
     assert!(as_json.iter().zip(&rows).all(|(a, b)| (&a.key, a.source, a.n) == (&b.key, b.source, b.n)));
 
-    let page = read("index.html");
+    let page = read("bench.html");
     // All 18 rows of Table 1, and wherever a row says quoted it also looks so, and the other way round.
     let quoted: Vec<&str> = page.lines().filter(|l| l.contains("(quoted)</td>")).collect();
     assert!(quoted.iter().filter(|l| l.contains("of the paper (quoted)")).count() == 18);
@@ -148,7 +148,7 @@ fn bench_takes_a_file_in_place_of_a_procedural_scene() {
     let of_file: Vec<&Row> = rows.iter().filter(|r| r.scene == "scan (block.raw.npy)").collect();
     assert!(of_file.len() >= 2 && of_file.iter().all(|r| r.scene_runs == Some(16.0)), "{of_file:?}");
     assert!(
-        fs::read_to_string(settings.output.join("index.html")).unwrap().contains("scan: from the file block.raw.npy")
+        fs::read_to_string(settings.output.join("bench.html")).unwrap().contains("scan: from the file block.raw.npy")
     );
 
     fs::write(&file, "no volume").unwrap();

@@ -5,7 +5,7 @@ mod common;
 use common::compare::{compare, identical, mirrored, sane, with_voxels};
 use common::{MEDIUM, Random, World, caves, hash, hills, odd, plain, poses, room, worlds};
 use glam::DVec3;
-use planecast::{Camera, Culling, Frame, Options, Outputs, Planes, Remap, Repeat, Shading};
+use planecast::{Camera, Culling, Frame, Options, Outputs, Planes, Remap, Repeat};
 use planecast_encoder::{BuildOptions, Columns, Input, Scene, build};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -302,6 +302,8 @@ fn any_options() -> impl Strategy<Value = Options> {
             equidistant,
             remap: if retest { Remap::Retest } else { Remap::Nearest },
             culling: if all { Culling::ALL } else { Culling::NONE },
+            f64_traversal: gap_fill,
+            ssao_samples: if all { 64 } else { 1 },
             fog: readjust.then_some(100.0),
             ..Options::default()
         },

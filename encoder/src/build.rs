@@ -17,6 +17,21 @@ impl Default for BuildOptions {
     }
 }
 
+impl BuildOptions {
+    /// How finely a scene is coloured whose input has colours or not.
+    pub fn color_of(&self, colored: bool) -> Result<ColorMode> {
+        match (self.color, colored) {
+            (None, false) => Ok(ColorMode::None),
+            (None, true) => Ok(ColorMode::Voxel),
+            (Some(mode @ (ColorMode::Run | ColorMode::Voxel)), false) => {
+                let mode = if mode == ColorMode::Run { "run" } else { "voxel" };
+                Err(Error::Argument(format!("the input has no colours, but --color {mode} asks for them")))
+            }
+            (Some(mode), _) => Ok(mode),
+        }
+    }
+}
+
 /// Colour of the exposed voxels of a column for which [`Colors::Voxel`] has no entry at all.
 pub const UNCOLORED: Rgb = [128; 3];
 
@@ -30,15 +45,7 @@ pub fn build(input: Input, opts: &BuildOptions) -> Result<Scene> {
     if nx == 0 || ny == 0 || nz == 0 {
         return Err(Error::Argument(format!("the input is {nx} × {ny} × {nz}; a world has at least one voxel")));
     }
-    let color = match (opts.color, &colors) {
-        (None, Colors::None) => ColorMode::None,
-        (None, _) => ColorMode::Voxel,
-        (Some(mode @ (ColorMode::Run | ColorMode::Voxel)), Colors::None) => {
-            let mode = if mode == ColorMode::Run { "run" } else { "voxel" };
-            return Err(Error::Argument(format!("the input has no colours, but --color {mode} asks for them")));
-        }
-        (Some(mode), _) => mode,
-    };
+    let color = opts.color_of(!matches!(colors, Colors::None))?;
 
     let mut solid = vec![columns];
     for k in 1..mips::n_levels([nx, ny, nz]) as usize {
@@ -75,7 +82,7 @@ pub fn build(input: Input, opts: &BuildOptions) -> Result<Scene> {
 }
 
 /// One colour an exposed voxel of level 0.
-fn input_colors(colors: &Colors, solid: &Columns, exposed: &Columns) -> Result<Vec<Rgb>> {
+pub(crate) fn input_colors(colors: &Colors, solid: &Columns, exposed: &Columns) -> Result<Vec<Rgb>> {
     let expect = |what: &str, found: usize, expected: usize| {
         (found == expected)
             .then_some(())

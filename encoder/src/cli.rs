@@ -2,12 +2,21 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, Once, Weak};
+use std::time::{Duration, Instant};
 
-use crate::build::UNCOLORED;
+use indicatif::{ProgressBar, ProgressStyle};
+use xxhash_rust::xxh3::xxh3_64;
+
 use crate::decode::decode_to_raw;
+use crate::encode::{self, EncodeOptions, Summary, Watch};
+use crate::pieces::{Grey, Pieces};
 use crate::source::{self, ReadOptions};
-use crate::write::{keep_input, write_scene};
-use crate::{BuildOptions, ColorMode, Colors, Encoding, Error, MipRule, PcastFile, Result, build, info};
+use crate::write::{keep_input, resolved};
+use crate::{
+    BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, Scene, format, info, memory, verify,
+};
 
 /// Exit status where the input, the scene or the machine was at fault.
 pub const EXIT_INPUT: u8 = 1;
@@ -28,8 +37,8 @@ pub struct EncodeArgs {
     /// Input file, or a name such as procedural:terrain?size=512&seed=7
     pub input: PathBuf,
     /// Scene to write
-    #[arg(short, long, value_name = "SCENE.pcast")]
-    pub output: PathBuf,
+    #[arg(short, long, value_name = "SCENE.pcast", required_unless_present = "plan")]
+    pub output: Option<PathBuf>,
     #[command(flatten)]
     pub read: ReadOptions,
     /// What the runs hold
@@ -41,21 +50,221 @@ pub struct EncodeArgs {
     /// When a voxel of a coarser level is solid
     #[arg(long, value_enum, default_value = "any")]
     pub mip_rule: MipRule,
+    /// Bytes of memory to stay within, as in 512M or 4G [default: a quarter of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = memory::parse)]
+    pub memory: Option<u64>,
+    /// Go on with what a stopped encode of the same input left
+    #[arg(long)]
+    pub resume: bool,
+    /// Encode these tiles of level 0 alone (256 x 256 columns each, x first), to a part that `merge` joins with others
+    #[arg(long, value_name = "A..B", value_parser = tile_range)]
+    pub tiles: Option<TileRange>,
+    /// Compress tiles with zstd, at this level; such a scene is read more slowly
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
+    pub zstd: Option<i32>,
+    /// Only print what there is to do, as JSON: size, and number of tiles of level 0
+    #[arg(long)]
+    pub plan: bool,
+    /// Threads to encode with [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// Tiles `0 .. 1`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileRange(u64, u64);
+
+fn tile_range(s: &str) -> Result<TileRange, String> {
+    let range = s.split_once("..").and_then(|(a, b)| Some(TileRange(a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    range.filter(|r| r.0 < r.1).ok_or_else(|| "expected two numbers that ascend, as in 0..64".to_owned())
 }
 
 impl EncodeArgs {
     pub fn run(&self) -> Result<()> {
+        let Some(output) = &self.output else { return in_pool(self.threads, || self.print_plan()) };
         for input in [Some(&self.input), self.read.colors.as_ref()].into_iter().flatten() {
-            keep_input(input, "--output", &self.output)?;
+            keep_input(input, "--output", output)?;
         }
-        let mut input = source::open(&self.input, &self.read)?;
-        if matches!((&input.colors, self.color), (Colors::None, Some(ColorMode::Run | ColorMode::Voxel))) {
-            input.colors = Colors::Function(Box::new(|_, _, _| UNCOLORED));
-            input.notes.push("the input has no colours: all voxels are grey".to_owned());
+        in_pool(self.threads, || self.encode(output))
+    }
+
+    fn print_plan(&self) -> Result<()> {
+        #[derive(serde::Serialize)]
+        struct Plan {
+            dims: [u32; 3],
+            tiles: u64,
         }
-        input.notes.iter().for_each(|note| eprintln!("note: {note}"));
-        let opts = BuildOptions { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule };
-        write_scene(&build(input, &opts)?, &self.output)
+        let dims = source::open_pieces(&self.input, &self.read)?.dims();
+        print(&json(&Plan { dims, tiles: format::grids(dims)[0].n_tiles() }))
+    }
+
+    fn encode(&self, output: &Path) -> Result<()> {
+        let begun = Instant::now();
+        let mut world = source::open_pieces(&self.input, &self.read)?;
+        world.notes().iter().for_each(|note| eprintln!("note: {note}"));
+        if !world.colored() && matches!(self.color, Some(ColorMode::Run | ColorMode::Voxel)) {
+            eprintln!("note: the input has no colours: all voxels are grey");
+            world = Box::new(Grey(world));
+        }
+        let opts = EncodeOptions {
+            build: BuildOptions { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule },
+            memory: self.memory,
+            resume: self.resume,
+            compress: self.zstd,
+            settings: self.settings(&*world),
+            source: self.source(),
+        };
+        let bytes = world.input_bytes();
+        let summary = watched(bytes, |watch| match self.tiles {
+            None => encode::encode(&*world, &opts, output, watch),
+            Some(TileRange(from, to)) => encode::encode_part(&*world, &opts, from..to, output, watch),
+        })?;
+        report(&summary, if self.tiles.is_some() { 0 } else { bytes }, begun);
+        Ok(())
+    }
+
+    /// Of all that the scene depends on, as far as it is the same on every machine.
+    fn settings(&self, world: &dyn Pieces) -> u64 {
+        let mut read = self.read.clone();
+        read.colors = read.colors.and_then(|path| Some(PathBuf::from(path.file_name()?)));
+        let name = self.input.to_str().filter(|name| name.starts_with("procedural:"));
+        let build = (self.encoding, self.color, self.mip_rule);
+        xxh3_64(format!("{read:?} {name:?} {build:?} {:?} {}", world.dims(), world.input_bytes()).as_bytes())
+    }
+
+    /// Of the input's files as they lie here.
+    fn source(&self) -> u64 {
+        let state = |path: &PathBuf| {
+            let meta = std::fs::metadata(path).ok();
+            let time = meta.as_ref().and_then(|m| m.modified().ok());
+            (resolved(path), meta.map(|m| m.len()), time)
+        };
+        xxh3_64(format!("{:?} {:?}", state(&self.input), self.read.colors.as_ref().map(state)).as_bytes())
+    }
+}
+
+/// Runs `work` with that many threads; None: one a core.
+fn in_pool<T: Send>(threads: Option<u16>, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+    let Some(n) = threads else { return work() };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(n.into()).build();
+    pool.map_err(|e| Error::Limit(format!("--threads {n}: {e}")))?.install(work)
+}
+
+/// Does work that Ctrl-C stops in good order, with a bar on the terminal that says how far it is.
+fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Result<T> {
+    static WATCH: Mutex<Weak<Watch>> = Mutex::new(Weak::new());
+    static HANDLER: Once = Once::new();
+    let watch = Arc::new(Watch::default());
+    *WATCH.lock().expect("nothing panics with it") = Arc::downgrade(&watch);
+    HANDLER.call_once(|| {
+        let stop = || {
+            let watch = WATCH.lock().expect("nothing panics with it").upgrade();
+            match watch {
+                // A second time, at once.
+                Some(watch) if !watch.stop.swap(true, Ordering::Relaxed) => {}
+                _ => std::process::exit(130),
+            }
+        };
+        if let Err(e) = ctrlc::set_handler(stop) {
+            eprintln!("note: Ctrl-C will not be caught: {e}");
+        }
+    });
+    let style = "{percent:>3} % {wide_bar} {elapsed} gone, {eta} left, {msg}";
+    let bar = ProgressBar::new(1).with_style(ProgressStyle::with_template(style).expect("a template that parses"));
+    let begun = Instant::now();
+    let done = AtomicBool::new(false);
+    let outcome = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !done.load(Ordering::Relaxed) && !bar.is_hidden() {
+                let (columns, total) = (watch.columns.load(Ordering::Relaxed), watch.total.load(Ordering::Relaxed));
+                bar.set_length(total.max(1));
+                bar.set_position(columns);
+                let part = columns as f64 / total.max(1) as f64;
+                let rate = match input_bytes {
+                    0 => format!("{:.2} M columns/s", columns as f64 / begun.elapsed().as_secs_f64() / 1e6),
+                    n => format!("{:.2} GB/s", n as f64 * part / begun.elapsed().as_secs_f64() / 1e9),
+                };
+                let runs = watch.runs.load(Ordering::Relaxed) as f64 / 1e6;
+                let memory = memory::used().map(|n| format!("{} of memory, ", memory::display(n))).unwrap_or_default();
+                bar.set_message(format!("{rate}, {memory}{runs:.1} M runs"));
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        });
+        let outcome = work(&watch);
+        done.store(true, Ordering::Relaxed);
+        outcome
+    });
+    bar.finish_and_clear();
+    outcome
+}
+
+fn report(summary: &Summary, input_bytes: u64, begun: Instant) {
+    let seconds = begun.elapsed().as_secs_f64();
+    let mut text = format!("{} tiles, {} runs at level 0, {seconds:.2} s", summary.tiles, summary.runs);
+    if input_bytes > 0 {
+        text += &format!(", {:.2} GB/s of {}", input_bytes as f64 / seconds / 1e9, memory::display(input_bytes));
+    }
+    if let Some(peak) = memory::peak() {
+        text += &format!(", at most {} of memory", memory::display(peak));
+    }
+    if summary.resumed > 0 {
+        text += &format!("; {} tiles were there already", summary.resumed);
+    }
+    eprintln!("{text}");
+}
+
+/// Join parts made by `encode --tiles` to the scene that one encode would give
+#[derive(Clone, Debug, clap::Args)]
+pub struct MergeArgs {
+    /// Parts, in any order; every tile of level 0 must be in one at least
+    #[arg(required = true)]
+    pub parts: Vec<PathBuf>,
+    /// Scene to write
+    #[arg(short, long, value_name = "SCENE.pcast")]
+    pub output: PathBuf,
+    /// Bytes of memory to stay within, as in 512M or 4G [default: a quarter of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = memory::parse)]
+    pub memory: Option<u64>,
+    /// Compress tiles with zstd, at this level; such a scene is read more slowly
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
+    pub zstd: Option<i32>,
+}
+
+impl MergeArgs {
+    pub fn run(&self) -> Result<()> {
+        self.parts.iter().try_for_each(|part| keep_input(part, "--output", &self.output))?;
+        let begun = Instant::now();
+        let summary = watched(0, |watch| encode::merge(&self.parts, self.memory, self.zstd, &self.output, watch))?;
+        report(&Summary { resumed: 0, ..summary }, 0, begun);
+        Ok(())
+    }
+}
+
+/// Check every byte of a scene, and name all tiles that are broken
+#[derive(Clone, Debug, clap::Args)]
+pub struct VerifyArgs {
+    /// Scene file (.pcast)
+    pub scene: PathBuf,
+    /// Checksums alone: finds damage, not what a faulty program wrote
+    #[arg(long)]
+    pub quick: bool,
+}
+
+impl VerifyArgs {
+    pub fn run(&self) -> Result<()> {
+        let begun = Instant::now();
+        let file = PcastFile::open(&self.scene)?;
+        let found = verify::verify(&file, self.quick);
+        let seconds = begun.elapsed().as_secs_f64();
+        let rate = file.file_len() as f64 / seconds / 1e9;
+        found.faults.iter().for_each(|fault| eprintln!("{fault}"));
+        match found.faults.len() {
+            0 => print(&format!("{} tiles are right, {seconds:.2} s, {rate:.2} GB/s\n", found.tiles)),
+            n => Err(Error::format(
+                &self.scene,
+                format!("{n} of {} tiles are broken, the others can be read (--skip-broken)", found.tiles),
+            )),
+        }
     }
 }
 
@@ -67,13 +276,26 @@ pub struct DecodeArgs {
     /// Raw volume to write
     #[arg(short, long, value_name = "VOLUME.raw")]
     pub output: PathBuf,
+    /// Take broken tiles as empty, and name them
+    #[arg(long)]
+    pub skip_broken: bool,
 }
 
 impl DecodeArgs {
     pub fn run(&self) -> Result<()> {
         keep_input(&self.scene, "--output", &self.output)?;
-        decode_to_raw(&PcastFile::open(&self.scene)?.read_scene()?, &self.output)
+        decode_to_raw(&read_scene(&PcastFile::open(&self.scene)?, self.skip_broken)?, &self.output)
     }
+}
+
+/// The whole scene; with `skip_broken` its broken tiles are empty, and named on standard error.
+pub fn read_scene(file: &PcastFile, skip_broken: bool) -> Result<Scene> {
+    if !skip_broken {
+        return file.read_scene();
+    }
+    let (scene, faults) = file.read_scene_without_broken()?;
+    faults.iter().for_each(|fault| eprintln!("note: taken as empty: {fault}"));
+    Ok(scene)
 }
 
 /// Show what a scene holds and how many bytes it takes

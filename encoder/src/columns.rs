@@ -1,8 +1,10 @@
 //! All columns of one level, as flat run lists.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-use crate::Run;
+use crate::{Error, Result, Run};
 
 /// The run lists of `nx × nz` columns, each `ny` high. Column `(x, z)` is number `z·nx + x`; its runs ascend, do
 /// not overlap and do not touch (the encoding is maximal, so equal occupancy gives equal runs).
@@ -45,6 +47,18 @@ impl Columns {
 
     /// Columns made row by row, in parallel: `row(z, out)` ends the `nx` columns of row `z`.
     pub fn from_rows(nx: u32, ny: u32, nz: u32, row: impl Fn(u32, &mut ColumnsBuilder) + Sync) -> Columns {
+        let columns = Columns::try_from_rows([nx, ny, nz], |z, out| {
+            row(z, out);
+            Ok(())
+        });
+        columns.expect("at most 2³² − 1 runs a level")
+    }
+
+    /// The same for rows that can fail.
+    pub fn try_from_rows(
+        [nx, ny, nz]: [u32; 3],
+        row: impl Fn(u32, &mut ColumnsBuilder) -> Result<()> + Sync,
+    ) -> Result<Columns> {
         // Enough columns a part that handing it out costs nothing beside making it.
         let rows = (8192 / nx.max(1)).max(1);
         let parts: Vec<Columns> = (0..nz.div_ceil(rows))
@@ -52,12 +66,21 @@ impl Columns {
             .map(|part| {
                 let z = part * rows..nz.min(part.saturating_add(1).saturating_mul(rows));
                 let mut out = ColumnsBuilder::new(nx, ny, z.end - z.start);
-                z.for_each(|z| row(z, &mut out));
-                out.finish()
+                for z in z {
+                    row(z, &mut out)?;
+                }
+                Ok(out.finish())
             })
-            .collect();
+            .collect::<Result<_>>()?;
+        Columns::concat([nx, ny, nz], &parts)
+    }
+
+    /// One world from parts that follow each other in z.
+    pub(crate) fn concat([nx, ny, nz]: [u32; 3], parts: &[Columns]) -> Result<Columns> {
         let n_runs: usize = parts.iter().map(|p| p.runs.len()).sum();
-        u32::try_from(n_runs).expect("at most 2³² − 1 runs a level");
+        if u32::try_from(n_runs).is_err() {
+            return Err(Error::Limit(format!("the world has {n_runs} runs, at most {} can be held", u32::MAX)));
+        }
         let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
         let mut runs = Vec::with_capacity(n_runs);
         offsets.push(0);
@@ -66,7 +89,7 @@ impl Columns {
             offsets.extend(part.offsets[1..].iter().map(|o| base + o));
             runs.extend_from_slice(&part.runs);
         }
-        Columns::from_parts(nx, ny, nz, offsets, runs)
+        Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
     }
 
     /// Columns of the voxels `(x, y, z)` for which `solid` holds.
@@ -104,7 +127,7 @@ impl Columns {
 
     /// Where the runs of column number `ix` stand in [`Columns::runs`].
     #[inline]
-    pub fn range(&self, ix: usize) -> std::ops::Range<usize> {
+    pub fn range(&self, ix: usize) -> Range<usize> {
         self.offsets[ix] as usize..self.offsets[ix + 1] as usize
     }
 
@@ -130,6 +153,43 @@ impl Columns {
             && inside(y, self.ny)
             && inside(z, self.nz)
             && self.find(x as u32, y as u32, z as u32).is_some()
+    }
+
+    /// The columns `xs × zs` as a world of their own.
+    pub fn crop(&self, xs: Range<u32>, zs: Range<u32>) -> Columns {
+        Columns::gather(self.ny, xs, zs, |x, z| (self, z as usize * self.nx as usize + x as usize, self.nx - x))
+    }
+
+    /// Columns put together from pieces: `at(x, z)` is where column `(x, z)` stands: in which columns, as which
+    /// number, and how many columns from there on continue its row.
+    pub fn gather<'a>(
+        ny: u32,
+        xs: Range<u32>,
+        zs: Range<u32>,
+        at: impl Fn(u32, u32) -> (&'a Columns, usize, u32),
+    ) -> Columns {
+        let (nx, nz) = (xs.len() as u32, zs.len() as u32);
+        let mut offsets = Vec::with_capacity(xs.len() * zs.len() + 1);
+        let mut runs: Vec<Run> = Vec::new();
+        offsets.push(0);
+        for z in zs {
+            let mut x = xs.start;
+            while x < xs.end {
+                let (from, ix, n) = at(x, z);
+                let n = n.min(xs.end - x);
+                let part = &from.offsets[ix..=ix + n as usize];
+                let base = u32::try_from(runs.len()).expect("at most 2³² − 1 runs a level");
+                offsets.extend(part[1..].iter().map(|o| base + (o - part[0])));
+                runs.extend_from_slice(&from.runs[part[0] as usize..part[n as usize] as usize]);
+                x += n;
+            }
+        }
+        Columns::from_parts(nx, ny, nz, offsets, runs)
+    }
+
+    /// Bytes in memory.
+    pub fn bytes(&self) -> u64 {
+        4 * (self.offsets.capacity() + self.runs.capacity()) as u64
     }
 
     /// Number of solid voxels.

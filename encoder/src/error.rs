@@ -17,6 +17,9 @@ pub enum Error {
     /// A size is beyond what the program or the machine allows.
     #[error("{0}")]
     Limit(String),
+    /// Somebody stopped the work; what is done can be gone on with.
+    #[error("interrupted; the same command with --resume goes on")]
+    Interrupted,
     /// The operating system refused.
     #[error("{path}: cannot {action}: {source}", path = path.display())]
     Io {

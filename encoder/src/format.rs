@@ -1,4 +1,4 @@
-//! The byte layout of a `.pcast` file, version 1.
+//! The byte layout of a `.pcast` file, versions 1 and 2.
 //!
 //! Little-endian throughout. Files are written whole and never changed in place; every blob is readable by itself.
 //!
@@ -33,6 +33,10 @@
 //! A level is half of the one before in x, y and z, rounded up; the last is the first with one column. Its columns
 //! are cut into tiles of 256 × 256 (fewer at the far edges). The directory lists the tiles of level 0, x fastest,
 //! then z, then those of level 1, and so on. Tiles with equal blobs share one; otherwise blobs do not overlap.
+//!
+//! Version 2 is version 1 with tiles that may be compressed: bit 1 of a tile's flags says that its blob is a zstd frame
+//! (RFC 8878) of what version 1 would hold; `len` and `checksum` are of the frame. Files without such tiles are of version
+//! 1.
 //!
 //! A new major version is one that old readers must refuse; a new minor version adds what they may ignore.
 //!
@@ -138,6 +142,8 @@ compile_error!("the structures of .pcast are little-endian and used as they lie 
 /// PNG's idea: the high bit, line ends and control-Z show a transfer that was not binary.
 pub const MAGIC: [u8; 8] = *b"\x89PCV\r\n\x1a\n";
 pub const VERSION: [u16; 2] = [1, 0];
+/// Of files with compressed tiles.
+pub const VERSION_COMPRESSED: [u16; 2] = [2, 0];
 /// Columns of a tile along x and z.
 pub const TILE: u32 = 256;
 /// Blobs start at multiples of this in the file, sections in their blob.
@@ -146,6 +152,8 @@ pub const ALIGN: u64 = 16;
 pub const MAX_COLUMNS: u64 = 1 << 31;
 /// [`TileEntry::flags`]: no solid voxel, no blob.
 pub const EMPTY: u32 = 1;
+/// [`TileEntry::flags`]: the blob is a zstd frame.
+pub const COMPRESSED: u32 = 2;
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]

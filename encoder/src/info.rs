@@ -95,12 +95,14 @@ pub fn info(file: &PcastFile) -> Result<Info> {
             if !seen.insert(blob.file_offset()) {
                 continue;
             }
+            let [in_file, unpacked] = blob.lens().map(|n| n as u64);
             for section in Section::ALL {
-                let len = blob.section(section).len() as u64;
+                // The bytes of a compressed tile are shared out as the unpacked ones are.
+                let len = blob.section(section).len() as u64 * in_file / unpacked;
                 of_level.add(section, len);
                 bytes.add(section, len);
             }
-            stored += blob.len() as u64;
+            stored += in_file;
         }
         of_level.finish(stored);
         let entries = &file.entries()[grid.first as usize..][..grid.n_tiles() as usize];

@@ -14,17 +14,22 @@ pub mod cli;
 pub mod column_rle;
 pub mod columns;
 pub mod decode;
+pub mod encode;
 pub mod error;
 pub mod exposure;
 pub mod format;
 pub mod info;
 pub mod input;
+pub mod memory;
 pub mod mips;
+pub mod part;
+pub mod pieces;
 pub mod read;
 pub mod run;
 pub mod scene;
 pub mod source;
 pub mod srgb;
+pub mod verify;
 pub mod write;
 
 #[cfg(test)]

@@ -10,6 +10,8 @@ use planecast_encoder::cli;
 #[command(name = "planecast-encode", version)]
 enum Command {
     Encode(cli::EncodeArgs),
+    Merge(cli::MergeArgs),
+    Verify(cli::VerifyArgs),
     Decode(cli::DecodeArgs),
     Info(cli::InfoArgs),
     Query(cli::QueryArgs),
@@ -18,6 +20,8 @@ enum Command {
 fn main() -> ExitCode {
     let done = match Command::parse() {
         Command::Encode(args) => args.run(),
+        Command::Merge(args) => args.run(),
+        Command::Verify(args) => args.run(),
         Command::Decode(args) => args.run(),
         Command::Info(args) => args.run(),
         Command::Query(args) => args.run(),

@@ -4,9 +4,12 @@
 //! [`PcastFile::read_scene`] all tiles, and that the exposed voxels are just those with an exposed face. A
 //! [`PcastFile::query`] checks its tile's checksum once and then reads one column.
 
+use std::borrow::Cow;
 use std::fs::File;
+use std::io::Read;
 use std::ops::{Deref, Range};
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use bytemuck::pod_read_unaligned;
@@ -14,7 +17,7 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::column_rle::{self, Form};
-use crate::format::{self, ALIGN, BlobHeader, EMPTY, Grid, Header, Section, TileEntry};
+use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, Section, TileEntry};
 use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
 
 /// What [`PcastFile::query`] finds.
@@ -91,11 +94,8 @@ impl PcastFile {
                 "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
             ));
         }
-        if header.version[0] != format::VERSION[0] {
-            return wrong(
-                8,
-                format!("version {} of .pcast, this program reads version {}", header.version[0], format::VERSION[0]),
-            );
+        if ![format::VERSION[0], format::VERSION_COMPRESSED[0]].contains(&header.version[0]) {
+            return wrong(8, format!("version {} of .pcast, this program reads versions 1 and 2", header.version[0]));
         }
         if header.checksum != header.checksum() {
             return wrong(56, "the header does not match its checksum; the file is damaged".into());
@@ -152,7 +152,8 @@ impl PcastFile {
         let entries: Vec<TileEntry> = directory.chunks_exact(size_of::<TileEntry>()).map(pod_read_unaligned).collect();
         let directory_at = header.directory as usize;
         let directory_end = header.directory + directory.len() as u64;
-        if let Err((tile, what)) = check_entries(&entries, directory_end, header.file_len) {
+        let flags = if header.version[0] == format::VERSION[0] { EMPTY } else { EMPTY | COMPRESSED };
+        if let Err((tile, what)) = check_entries(&entries, flags, directory_end, header.file_len) {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
         }
         let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
@@ -202,6 +203,14 @@ impl PcastFile {
         grid.first as usize + tz as usize * grid.tiles[0] as usize + tx as usize
     }
 
+    fn place(&self, level: usize, tx: u32, tz: u32) -> Place<'_> {
+        let [xs, zs] = self.grids[level].columns(tx, tz);
+        let dims = [xs.len() as u32, self.grids[level].dims[1], zs.len() as u32];
+        let modes = Modes { encoding: self.encoding, color: self.color };
+        let offset = self.entries[self.tile_ix(level, tx, tz)].offset;
+        Place { path: &self.path, level, tx, tz, offset, modes, dims }
+    }
+
     /// A tile's blob, its checksum checked on first use; None for an empty tile.
     pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
         let ix = self.tile_ix(level, tx, tz);
@@ -211,59 +220,51 @@ impl PcastFile {
         }
         // The directory's check keeps blobs inside the file.
         let bytes = &self.bytes[entry.offset as usize..][..entry.len as usize];
-        let place = Place { file: self, level, tx, tz, offset: entry.offset };
+        let place = self.place(level, tx, tz);
         if !self.checked[ix].load(Ordering::Relaxed) {
             if xxh3_64(bytes) != entry.checksum {
                 return Err(place.error(0, "does not match its checksum; the file is damaged"));
             }
             self.checked[ix].store(true, Ordering::Relaxed);
         }
-        Blob::new(place, bytes).map(Some)
+        if entry.flags & COMPRESSED == 0 {
+            return Blob::new(place, Cow::Borrowed(bytes), bytes.len()).map(Some);
+        }
+        // Memory grows with what the frame really holds, not with what it claims.
+        let mut unpacked = Vec::new();
+        zstd::Decoder::with_buffer(bytes)
+            .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
+            .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
+        Blob::new(place, Cow::Owned(unpacked), bytes.len()).map(Some)
     }
 
     /// One tile, after every byte of it was checked. Its columns are those of [`Grid::columns`], counted from 0.
     ///
     /// Panics if the file has no such tile.
     pub fn tile(&self, level: usize, tx: u32, tz: u32) -> Result<Level> {
-        let [xs, zs] = self.grids[level].columns(tx, tz);
-        let ny = self.grids[level].dims[1];
-        let shows = self.encoding == Encoding::Surface || self.color == ColorMode::Voxel;
-        let Some(blob) = self.blob(level, tx, tz)? else {
-            let none = Columns::empty(xs.len() as u32, ny, zs.len() as u32);
-            return Ok(Level { exposed: shows.then(|| none.clone()), solid: none, colors: Vec::new() });
-        };
-        let geometry = blob.columns(Section::GeometryTable, Section::Geometry)?;
-        let (solid, exposed) = match self.encoding {
-            Encoding::Surface => (blob.filled(&geometry)?, Some(geometry)),
-            Encoding::Solid if shows => {
-                let exposed = blob.columns(Section::ExposureTable, Section::Exposure)?;
-                (geometry, Some(exposed))
-            }
-            Encoding::Solid => (geometry, None),
-        };
-        let mut level = Level { solid, exposed, colors: Vec::new() };
-        level.colors = match self.color {
-            ColorMode::None => Vec::new(),
-            ColorMode::Run => {
-                let starts: Vec<u64> = level.geometry(self.encoding).offsets().iter().map(|&n| u64::from(n)).collect();
-                blob.colors(&starts)?
-            }
-            ColorMode::Voxel => {
-                blob.colors(&level.exposed.as_ref().expect("read above for this mode").voxel_offsets())?
-            }
-        };
-        blob.check_figures(&level)?;
-        Ok(level)
+        let Some(blob) = self.blob(level, tx, tz)? else { return Ok(self.place(level, tx, tz).empty()) };
+        let tile = blob.level()?;
+        blob.check_figures(&tile, &self.entries[self.tile_ix(level, tx, tz)])?;
+        Ok(tile)
     }
 
     /// The whole scene, every byte of it checked.
     pub fn read_scene(&self) -> Result<Scene> {
-        let levels = (0..self.grids.len()).map(|k| self.level(k)).collect::<Result<_>>()?;
+        let levels = (0..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
         Ok(Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels })
     }
 
-    /// One level, whole.
-    fn level(&self, k: usize) -> Result<Level> {
+    /// What of the scene can be read, and what is wrong with the rest: broken tiles are empty. Beside them voxels
+    /// become visible that have no colour of their own.
+    pub fn read_scene_without_broken(&self) -> Result<(Scene, Vec<Error>)> {
+        let faults = Mutex::new(Vec::new());
+        let levels = (0..self.grids.len()).map(|k| self.level(k, Some(&faults))).collect::<Result<_>>()?;
+        let scene = Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels };
+        Ok((scene, faults.into_inner().expect("no thread panics with it")))
+    }
+
+    /// One level, whole; where there is a place for faults, with empty tiles instead of broken ones.
+    fn level(&self, k: usize, faults: Option<&Mutex<Vec<Error>>>) -> Result<Level> {
         let grid = &self.grids[k];
         let tiles: Vec<(u32, u32)> =
             (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz))).collect();
@@ -272,16 +273,24 @@ impl PcastFile {
             .into_par_iter()
             .map(|(tx, tz)| {
                 let empty = self.entries[self.tile_ix(k, tx, tz)].is_empty();
-                (!empty).then(|| self.tile(k, tx, tz)).transpose()
+                match ((!empty).then(|| self.tile(k, tx, tz)).transpose(), faults) {
+                    (Err(fault @ Error::Format { .. }), Some(faults)) => {
+                        faults.lock().expect("no thread panics with it").push(fault);
+                        Ok(None)
+                    }
+                    (tile, _) => tile,
+                }
             })
             .collect::<Result<_>>()?;
+        let all_there =
+            tiles.iter().zip(&self.entries[grid.first as usize..]).all(|(t, e)| t.is_some() || e.is_empty());
         let tile = |tx: u32, tz: u32| tiles[tz as usize * grid.tiles[0] as usize + tx as usize].as_ref();
 
         let solid = self.join(k, |tx, tz| tile(tx, tz).map(|l| &l.solid))?;
         let shows = self.encoding == Encoding::Surface || self.color == ColorMode::Voxel;
         let exposed =
             shows.then(|| self.join(k, |tx, tz| tile(tx, tz).and_then(|l| l.exposed.as_ref()))).transpose()?;
-        if let Some(exposed) = &exposed {
+        if let (Some(exposed), true) = (&exposed, all_there) {
             self.check_exposure(k, &solid, exposed)?;
         }
 
@@ -338,6 +347,46 @@ impl PcastFile {
             }
         }
         Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
+    }
+
+    /// Checks what [`PcastFile::tile`] cannot: that the exposed voxels of the tiles of row `tz` are just those with an
+    /// exposed face. Faults go to `faulty`, by tile. `tile(tx, tz)` is a tile, or None for a broken one, beside which
+    /// nothing can be told.
+    pub(crate) fn check_exposure_of_row<'a>(
+        &self,
+        k: usize,
+        tz: u32,
+        tile: impl Fn(u32, u32) -> Option<&'a Level> + Sync,
+    ) -> Vec<Error> {
+        let grid = &self.grids[k];
+        let [nx, ny, nz] = grid.dims;
+        let check = |tx: u32| {
+            let [xs, zs] = grid.columns(tx, tz);
+            let around = |r: &Range<u32>, n: u32| r.start.saturating_sub(1)..n.min(r.end + 1);
+            let (around_xs, around_zs) = (around(&xs, nx), around(&zs, nz));
+            let tiles = |r: &Range<u32>| r.start / format::TILE..=(r.end - 1) / format::TILE;
+            if tiles(&around_zs).any(|tz| tiles(&around_xs).any(|tx| tile(tx, tz).is_none())) {
+                return None;
+            }
+            let solid = Columns::gather(ny, around_xs.clone(), around_zs.clone(), |x, z| {
+                let columns = &tile(x / format::TILE, z / format::TILE).expect("looked at above").solid;
+                let in_row = x % format::TILE;
+                (columns, (z % format::TILE * columns.nx() + in_row) as usize, columns.nx() - in_row)
+            });
+            let inner = |r: &Range<u32>, around: &Range<u32>| r.start - around.start..r.end - around.start;
+            let expected = exposure::exposed(&solid).crop(inner(&xs, &around_xs), inner(&zs, &around_zs));
+            let own = tile(tx, tz).expect("looked at above");
+            match &own.exposed {
+                Some(exposed) if *exposed != expected => {
+                    Some(self.place(k, tx, tz).error(0, "the exposed voxels are not those with an exposed face"))
+                }
+                None if expected.voxels() != self.entries[self.tile_ix(k, tx, tz)].n_exposed => {
+                    Some(self.place(k, tx, tz).error(0, "the directory's number of exposed voxels is wrong"))
+                }
+                _ => None,
+            }
+        };
+        (0..grid.tiles[0]).into_par_iter().filter_map(check).collect()
     }
 
     /// The exposed voxels must be just those with an exposed face: renderers look up colours by them.
@@ -413,7 +462,7 @@ fn row(tile: &Columns, z: u32) -> Range<usize> {
 }
 
 /// Bounds and overlaps; an error names the tile by its number in the directory.
-fn check_entries(entries: &[TileEntry], directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
+fn check_entries(entries: &[TileEntry], flags: u32, directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
     let mut blobs = Vec::new();
     for (i, e) in entries.iter().enumerate() {
         if e.is_empty() {
@@ -422,8 +471,8 @@ fn check_entries(entries: &[TileEntry], directory_end: u64, file_len: u64) -> Re
             }
             continue;
         }
-        if e.flags != 0 {
-            return Err((i, format!("flags {:#x}, 0 or 1 was expected", e.flags)));
+        if e.flags & !flags != 0 {
+            return Err((i, format!("flags {:#x}, at most {flags:#x} was expected", e.flags)));
         }
         if !e.offset.is_multiple_of(ALIGN) {
             return Err((i, format!("blob at byte {}, a multiple of {ALIGN} was expected", e.offset)));
@@ -445,42 +494,79 @@ fn check_entries(entries: &[TileEntry], directory_end: u64, file_len: u64) -> Re
     Ok(())
 }
 
-/// Where a blob is, for errors.
+/// What the tiles of a scene hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Modes {
+    pub encoding: Encoding,
+    pub color: ColorMode,
+}
+
+impl Modes {
+    /// From the codes of a header.
+    pub(crate) fn from_codes(encoding: u8, color: u8) -> Option<Modes> {
+        let encoding = [Encoding::Solid, Encoding::Surface].get(encoding as usize).copied()?;
+        let color = [ColorMode::None, ColorMode::Run, ColorMode::Voxel].get(color as usize).copied()?;
+        Some(Modes { encoding, color })
+    }
+
+    /// Whether a tile has exposed runs: as its geometry, or to find colours by.
+    fn shows(self) -> bool {
+        self.encoding == Encoding::Surface || self.color == ColorMode::Voxel
+    }
+}
+
+/// Where a blob is and what it should hold.
 #[derive(Clone, Copy)]
-struct Place<'a> {
-    file: &'a PcastFile,
-    level: usize,
-    tx: u32,
-    tz: u32,
+pub(crate) struct Place<'a> {
+    /// What errors call the file.
+    pub path: &'a Path,
+    pub level: usize,
+    pub tx: u32,
+    pub tz: u32,
     /// Of the blob in the file.
-    offset: u64,
+    pub offset: u64,
+    pub modes: Modes,
+    /// Of the tile.
+    pub dims: [u32; 3],
+}
+
+/// A tile from its blob, every byte of it checked; from no bytes an empty one.
+pub(crate) fn decode_tile(place: Place, bytes: &[u8]) -> Result<Level> {
+    if bytes.is_empty() { Ok(place.empty()) } else { Blob::new(place, Cow::Borrowed(bytes), bytes.len())?.level() }
 }
 
 impl Place<'_> {
     fn error(&self, at: usize, what: impl std::fmt::Display) -> Error {
         let (level, tx, tz, at) = (self.level, self.tx, self.tz, self.offset + at as u64);
-        Error::format(&self.file.path, format!("tile ({tx}, {tz}) of level {level}, byte {at}: {what}"))
+        Error::format(self.path, format!("tile ({tx}, {tz}) of level {level}, byte {at}: {what}"))
+    }
+
+    fn empty(&self) -> Level {
+        let [nx, ny, nz] = self.dims;
+        let none = Columns::empty(nx, ny, nz);
+        Level { exposed: self.modes.shows().then(|| none.clone()), solid: none, colors: Vec::new() }
     }
 }
 
 /// A tile's bytes, cut into sections that lie inside it. What the sections hold is not yet checked.
 pub(crate) struct Blob<'a> {
     place: Place<'a>,
-    bytes: &'a [u8],
+    bytes: Cow<'a, [u8]>,
+    /// Bytes in the file.
+    stored: usize,
     header: BlobHeader,
     width: usize,
     depth: usize,
 }
 
 impl<'a> Blob<'a> {
-    fn new(place: Place<'a>, bytes: &'a [u8]) -> Result<Blob<'a>> {
-        let file = place.file;
+    fn new(place: Place<'a>, bytes: Cow<'a, [u8]>, stored: usize) -> Result<Blob<'a>> {
+        let Modes { encoding, color } = place.modes;
         let Some(header) = bytes.get(..size_of::<BlobHeader>()) else {
             return Err(place.error(0, format!("{} bytes; a blob has a header of 64", bytes.len())));
         };
         let header: BlobHeader = pod_read_unaligned(header);
-        let [xs, zs] = file.grids[place.level].columns(place.tx, place.tz);
-        let (width, depth) = (xs.len(), zs.len());
+        let (width, depth) = (place.dims[0] as usize, place.dims[2] as usize);
         if (header.width as usize, header.depth as usize) != (width, depth) {
             let (w, d) = (header.width, header.depth);
             return Err(place.error(0, format!("{w} × {d} columns, {width} × {depth} were expected")));
@@ -492,7 +578,7 @@ impl<'a> Blob<'a> {
             let wrong = |what: String| {
                 Err(place.error(8 + 8 * section as usize, format!("section {}: {what}", section.name())))
             };
-            if !section.present(file.encoding, file.color) {
+            if !section.present(encoding, color) {
                 if offset != 0 || len != 0 {
                     return wrong("present, but not in scenes of this kind".into());
                 }
@@ -521,10 +607,35 @@ impl<'a> Blob<'a> {
         if end != bytes.len() as u64 {
             return Err(place.error(0, format!("{} bytes, its sections end at {end}", bytes.len())));
         }
-        Ok(Blob { place, bytes, header, width, depth })
+        Ok(Blob { place, bytes, stored, header, width, depth })
     }
 
-    pub(crate) fn section(&self, section: Section) -> &'a [u8] {
+    /// All that the tile holds, checked.
+    fn level(&self) -> Result<Level> {
+        let Modes { encoding, color } = self.place.modes;
+        let geometry = self.columns(Section::GeometryTable, Section::Geometry)?;
+        let (solid, exposed) = match encoding {
+            Encoding::Surface => (self.filled(&geometry)?, Some(geometry)),
+            Encoding::Solid if self.place.modes.shows() => {
+                (geometry, Some(self.columns(Section::ExposureTable, Section::Exposure)?))
+            }
+            Encoding::Solid => (geometry, None),
+        };
+        let mut level = Level { solid, exposed, colors: Vec::new() };
+        level.colors = match color {
+            ColorMode::None => Vec::new(),
+            ColorMode::Run => {
+                let starts: Vec<u64> = level.geometry(encoding).offsets().iter().map(|&n| u64::from(n)).collect();
+                self.colors(&starts)?
+            }
+            ColorMode::Voxel => {
+                self.colors(&level.exposed.as_ref().expect("read above for this mode").voxel_offsets())?
+            }
+        };
+        Ok(level)
+    }
+
+    pub(crate) fn section(&self, section: Section) -> &[u8] {
         let [offset, len] = self.header.sections[section as usize].map(|n| n as usize);
         &self.bytes[offset..offset + len]
     }
@@ -534,8 +645,9 @@ impl<'a> Blob<'a> {
         self.place.offset
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.bytes.len()
+    /// Bytes in the file, and unpacked.
+    pub(crate) fn lens(&self) -> [usize; 2] {
+        [self.stored, self.bytes.len()]
     }
 
     fn offset(&self, section: Section) -> usize {
@@ -557,7 +669,7 @@ impl<'a> Blob<'a> {
     }
 
     /// Start and bytes of column number `ix`.
-    fn column(&self, table: Section, lists: Section, ix: usize) -> Result<(usize, &'a [u8])> {
+    fn column(&self, table: Section, lists: Section, ix: usize) -> Result<(usize, &[u8])> {
         let bytes = self.section(lists);
         let (start, end) = (self.start(table, ix, bytes.len()), self.start(table, ix + 1, bytes.len()));
         let column = bytes.get(start..end).ok_or_else(|| {
@@ -574,7 +686,7 @@ impl<'a> Blob<'a> {
 
     /// All columns of a list, checked.
     fn columns(&self, table: Section, lists: Section) -> Result<Columns> {
-        let ny = self.place.file.grids[self.place.level].dims[1];
+        let ny = self.place.dims[1];
         let form = Form::of(ny);
         let n_columns = self.width * self.depth;
         let mut offsets = Vec::with_capacity(n_columns + 1);
@@ -652,15 +764,14 @@ impl<'a> Blob<'a> {
     }
 
     /// The figures of the directory must be those of the tile.
-    fn check_figures(&self, level: &Level) -> Result<()> {
+    fn check_figures(&self, level: &Level, entry: &TileEntry) -> Result<()> {
         let place = &self.place;
-        let entry = &place.file.entries[place.file.tile_ix(place.level, place.tx, place.tz)];
         let runs = level.solid.runs();
         let found = TileEntry {
             n_solid: level.solid.voxels(),
             // Without exposed runs only the neighbour tiles could tell.
             n_exposed: level.exposed.as_ref().map_or(entry.n_exposed, Columns::voxels),
-            n_runs: level.geometry(place.file.encoding).runs().len() as u32,
+            n_runs: level.geometry(place.modes.encoding).runs().len() as u32,
             y_min: runs.iter().map(|r| r.first()).min().unwrap_or(u16::MAX),
             y_max: runs.iter().map(|r| r.last()).max().unwrap_or(0),
             ..*entry
@@ -689,7 +800,7 @@ mod tests {
 
     use super::*;
     use crate::testing::{self, voxel_positions};
-    use crate::write::{write_scene, write_scene_to};
+    use crate::write::{SceneWriter, write_scene, write_scene_to};
     use crate::{BuildOptions, build};
 
     const MODES: [(Encoding, ColorMode); 6] = [
@@ -897,6 +1008,44 @@ mod tests {
         }
     }
 
+    #[test]
+    fn pcast_compressed_tiles_hold_the_same_and_damage_to_them_is_found() {
+        for mode in MODES {
+            let scene = scene(small(), mode);
+            let plain = opened(written(&scene)).unwrap();
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            let modes = Modes { encoding: mode.0, color: mode.1 };
+            let mut out = SceneWriter::new(&mut bytes, Path::new("a"), scene.dims(), modes, scene.mip_rule).unwrap();
+            for entry in plain.entries() {
+                let blob = plain.bytes[entry.offset as usize..][..entry.len as usize].to_vec();
+                out.push(vec![crate::write::compressed(*entry, blob, 3)]).unwrap();
+            }
+            out.finish().unwrap();
+            let good = bytes.into_inner();
+            assert_eq!(good[8], 2);
+            let file = opened(good.clone()).unwrap();
+            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+            check_queries(&file, &scene);
+            crate::info::info(&file).unwrap();
+            for at in 0..good.len() {
+                let mut bytes = good.clone();
+                bytes[at] ^= 0x11;
+                // Padding between blobs belongs to nobody.
+                assert!(read(bytes.clone()).is_err() || read(bytes).is_ok_and(|found| found == scene));
+                // Behind the checksums, whatever zstd makes of it.
+                let mut bytes = good.clone();
+                bytes[at] ^= 0x11;
+                reseal(&mut bytes);
+                let _ = read(bytes);
+            }
+            // A file of version 1 has no compressed tiles.
+            let mut old = good;
+            old[8] = 1;
+            reseal(&mut old);
+            assert!(refused(old).contains("flags 0x2, at most 0x1 was expected"));
+        }
+    }
+
     /// Small, but with every section, a hidden voxel, both edges of a level.
     fn small() -> Columns {
         Columns::from_fn(5, 9, 3, |x, y, z| y < 4 + x % 2 || y == 7 && z == 1)
@@ -965,7 +1114,7 @@ mod tests {
             header(0, b"P"),
             "a.pcast: not a .pcast scene (byte 0: other magic number); make one with `planecast encode`"
         );
-        assert_eq!(header(8, &[2]), "a.pcast: byte 8: version 2 of .pcast, this program reads version 1");
+        assert_eq!(header(8, &[3]), "a.pcast: byte 8: version 3 of .pcast, this program reads versions 1 and 2");
         assert_eq!(header(24, &[7]), "a.pcast: byte 24: encoding 7, 0 or 1 was expected");
         assert_eq!(header(27, &[9]), "a.pcast: byte 27: 9 levels, 4 were expected");
         assert_eq!(header(32, &[8]), "a.pcast: byte 32: a directory of 4 tiles at byte 8 does not fit the file");

@@ -11,11 +11,29 @@ use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
-use crate::{ColorMode, Columns, Encoding, Error, Level, Result, Run, Scene, exposure};
+use crate::read::Modes;
+use crate::{ColorMode, Columns, Encoding, Error, Level, MipRule, Result, Rgb, Scene, exposure};
 
 /// Writes `path` whole or not at all: into a new file beside it, which is synced and then takes its name. What
 /// stood under the name stays until then.
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
+    let (target, folder) = check_target(path)?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".planecast-").suffix(".tmp");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.tempfile_in(&folder).map_err(|e| Error::io(path, "create", e))?;
+    let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
+    write(&mut out)?;
+    out.flush().map_err(|e| Error::io(path, "write", e))?;
+    drop(out);
+    file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
+    file.persist(&target).map_err(|e| Error::io(path, "create", e.error))?;
+    Ok(())
+}
+
+/// The file that writing to `path` makes or replaces, and its folder, if it can be written.
+pub(crate) fn check_target(path: &Path) -> Result<(PathBuf, PathBuf)> {
     let refuse = |kind, text: &str| Err(Error::io(path, "write", std::io::Error::new(kind, text)));
     // A rename would replace a link, or a device such as /dev/null, by a plain file.
     let target = match fs::metadata(path) {
@@ -28,22 +46,11 @@ pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Re
         Ok(_) => fs::canonicalize(path).map_err(|e| Error::io(path, "open", e))?,
         Err(_) => path.to_path_buf(),
     };
-    let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
     if !folder.is_dir() {
         return refuse(std::io::ErrorKind::NotFound, "its folder does not exist");
     }
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".planecast-").suffix(".tmp");
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.tempfile_in(folder).map_err(|e| Error::io(path, "create", e))?;
-    let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
-    write(&mut out)?;
-    out.flush().map_err(|e| Error::io(path, "write", e))?;
-    drop(out);
-    file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
-    file.persist(&target).map_err(|e| Error::io(path, "create", e.error))?;
-    Ok(())
+    Ok((target, folder))
 }
 
 /// What a path leads to, links and dots resolved; a file that is not there yet is taken to be in its folder.
@@ -84,57 +91,108 @@ pub fn write_scene_to(scene: &Scene, out: &mut (impl Write + Seek), path: &Path)
     if scene.levels.len() != grids.len() {
         return Err(Error::Argument(format!("the scene has {} levels, {} were expected", levels.len(), grids.len())));
     }
-    let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
-    let n_tiles = u32::try_from(n_tiles)
-        .map_err(|_| Error::Limit(format!("the scene has {n_tiles} tiles, a file holds 2³² − 1")))?;
-
-    let failed = |e| Error::io(path, "write", e);
-    let mut tiles = Vec::with_capacity(n_tiles as usize);
+    let modes = Modes { encoding: scene.encoding, color: scene.color };
+    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule)?;
+    let mut tiles = Vec::new();
     for level in &levels {
         let [across, along] = level.grid.tiles;
         tiles.extend((0..along).flat_map(|tz| (0..across).map(move |tx| (level, tx, tz))));
     }
-    let directory = size_of::<Header>() as u64;
-    let mut at = directory + u64::from(n_tiles) * size_of::<TileEntry>() as u64;
-    // The directory is known last and stands first.
-    out.seek(SeekFrom::Start(at)).map_err(failed)?;
-    let mut entries: Vec<TileEntry> = Vec::with_capacity(n_tiles as usize);
-    // By 128 bits of hash: two different blobs of a scene never meet by chance.
-    let mut stored: HashMap<u128, u64> = HashMap::new();
     // Some at a time, so that a scene's blobs need not all fit into memory beside it.
     for batch in tiles.chunks(128) {
-        let blobs: Vec<_> = batch.par_iter().map(|&(level, tx, tz)| level.blob(tx, tz)).collect::<Result<_>>()?;
-        for (mut entry, blob) in blobs {
+        file.push(batch.par_iter().map(|&(level, tx, tz)| level.blob(tx, tz)).collect::<Result<_>>()?)?;
+    }
+    file.finish()
+}
+
+/// A scene file under construction: blobs in the order of the directory, those that are equal stored once.
+pub(crate) struct SceneWriter<'a, W> {
+    out: &'a mut W,
+    path: &'a Path,
+    header: Header,
+    entries: Vec<TileEntry>,
+    /// Where the file ends so far.
+    at: u64,
+    /// By 128 bits of hash: two different blobs of a scene never meet by chance.
+    stored: HashMap<u128, u64>,
+}
+
+impl<'a, W: Write + Seek> SceneWriter<'a, W> {
+    /// Starts a file at the start of `out`. `path` is what errors call it.
+    pub fn new(out: &'a mut W, path: &'a Path, dims: [u32; 3], modes: Modes, rule: MipRule) -> Result<Self> {
+        let grids = format::grids(dims);
+        let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
+        let n_tiles = u32::try_from(n_tiles)
+            .map_err(|_| Error::Limit(format!("the scene has {n_tiles} tiles, a file holds 2³² − 1")))?;
+        let header = Header {
+            magic: format::MAGIC,
+            version: format::VERSION,
+            dims,
+            encoding: format::encoding_code(modes.encoding),
+            color: format::color_code(modes.color),
+            mip_rule: format::mip_rule_code(rule),
+            n_levels: grids.len() as u8,
+            n_tiles,
+            directory: size_of::<Header>() as u64,
+            ..Header::zeroed()
+        };
+        let at = header.directory + u64::from(n_tiles) * size_of::<TileEntry>() as u64;
+        // The directory is known last and stands first.
+        out.seek(SeekFrom::Start(at)).map_err(|e| Error::io(path, "write", e))?;
+        Ok(SceneWriter { out, path, header, entries: Vec::with_capacity(n_tiles as usize), at, stored: HashMap::new() })
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.out.write_all(bytes).map_err(|e| Error::io(self.path, "write", e))
+    }
+
+    /// The next tiles, some of them [`compressed`].
+    pub fn push(&mut self, tiles: Vec<(TileEntry, Vec<u8>)>) -> Result<()> {
+        for (mut entry, blob) in tiles {
             if !blob.is_empty() {
-                entry.offset = *stored.entry(xxh3_128(&blob)).or_insert(at.next_multiple_of(ALIGN));
-                if entry.offset >= at {
-                    out.write_all(&[0; ALIGN as usize][..(entry.offset - at) as usize]).map_err(failed)?;
-                    out.write_all(&blob).map_err(failed)?;
-                    at = entry.offset + blob.len() as u64;
+                entry.offset = *self.stored.entry(xxh3_128(&blob)).or_insert(self.at.next_multiple_of(ALIGN));
+                if entry.offset >= self.at {
+                    self.write(&[0; ALIGN as usize][..(entry.offset - self.at) as usize])?;
+                    self.write(&blob)?;
+                    self.at = entry.offset + blob.len() as u64;
                 }
             }
-            entries.push(entry);
+            if entry.flags & format::COMPRESSED != 0 {
+                self.header.version = format::VERSION_COMPRESSED;
+            }
+            self.entries.push(entry);
         }
+        Ok(())
     }
-    let entries: &[u8] = bytemuck::cast_slice(&entries);
-    let mut header = Header {
-        magic: format::MAGIC,
-        version: format::VERSION,
-        dims: scene.dims(),
-        encoding: format::encoding_code(scene.encoding),
-        color: format::color_code(scene.color),
-        mip_rule: format::mip_rule_code(scene.mip_rule),
-        n_levels: grids.len() as u8,
-        n_tiles,
-        directory,
-        file_len: at,
-        directory_checksum: xxh3_64(entries),
-        checksum: 0,
-    };
-    header.checksum = header.checksum();
-    out.seek(SeekFrom::Start(0)).map_err(failed)?;
-    out.write_all(bytemuck::bytes_of(&header)).map_err(failed)?;
-    out.write_all(entries).map_err(failed)
+
+    /// Writes header and directory, after all tiles.
+    pub fn finish(mut self) -> Result<()> {
+        assert_eq!(self.entries.len(), self.header.n_tiles as usize, "every tile was pushed");
+        let entries = std::mem::take(&mut self.entries);
+        let entries: &[u8] = bytemuck::cast_slice(&entries);
+        self.header.file_len = self.at;
+        self.header.directory_checksum = xxh3_64(entries);
+        self.header.checksum = self.header.checksum();
+        self.out.seek(SeekFrom::Start(0)).map_err(|e| Error::io(self.path, "write", e))?;
+        let header = self.header;
+        self.write(bytemuck::bytes_of(&header))?;
+        self.write(entries)
+    }
+}
+
+/// A tile with its blob as a zstd frame, where that is smaller.
+pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (TileEntry, Vec<u8>) {
+    if blob.is_empty() {
+        return (entry, blob);
+    }
+    let frame = zstd::bulk::compress(&blob, level).expect("zstd compresses whatever fits into memory");
+    if frame.len() >= blob.len() {
+        return (entry, blob);
+    }
+    entry.flags |= format::COMPRESSED;
+    entry.len = frame.len() as u32;
+    entry.checksum = xxh3_64(&frame);
+    (entry, frame)
 }
 
 /// One level, with what its tiles need to be cut out.
@@ -183,85 +241,98 @@ impl<'a> LevelSource<'a> {
     /// The directory entry of a tile, less its offset, and its blob; no bytes where the tile is empty.
     fn blob(&self, tx: u32, tz: u32) -> Result<(TileEntry, Vec<u8>)> {
         let [xs, zs] = self.grid.columns(tx, tz);
-        let form = Form::of(self.grid.dims[1]);
-        let geometry = self.level.geometry(self.scene.encoding);
-        let solid = &self.level.solid;
-        let columns = || zs.clone().flat_map(|z| xs.clone().map(move |x| (x, z)));
-
-        let mut entry = TileEntry { y_min: u16::MAX, ..TileEntry::zeroed() };
-        for (x, z) in columns() {
-            let column = solid.column(x, z);
-            let voxels = |runs: &[Run]| runs.iter().map(|r| u64::from(r.len())).sum::<u64>();
-            entry.n_solid += voxels(column);
-            entry.n_exposed += voxels(self.exposed.column(x, z));
-            entry.n_runs += geometry.column(x, z).len() as u32;
-            if let (Some(lowest), Some(highest)) = (column.first(), column.last()) {
-                entry.y_min = entry.y_min.min(lowest.first());
-                entry.y_max = entry.y_max.max(highest.last());
+        let mut colors: Vec<Rgb> = Vec::new();
+        if !self.first_color.is_empty() {
+            for z in zs.clone() {
+                let row = self.level.solid.index(xs.start, z);
+                let (from, to) = (self.first_color[row], self.first_color[row + xs.len()]);
+                colors.extend_from_slice(&self.level.colors[from as usize..to as usize]);
             }
         }
-        if entry.n_solid == 0 {
-            return Ok((TileEntry { flags: format::EMPTY, ..TileEntry::zeroed() }, Vec::new()));
-        }
-
-        let mut blob = Blob::new(xs.len() as u16, zs.len() as u16);
-        let lists = |of: &Columns| {
-            let (mut starts, mut bytes) = (Vec::new(), Vec::new());
-            for (x, z) in columns() {
-                starts.push(bytes.len() as u64);
-                column_rle::encode(of.column(x, z), form, &mut bytes);
-            }
-            (starts, bytes)
+        let tile = Level {
+            solid: self.level.solid.crop(xs.clone(), zs.clone()),
+            exposed: Some(self.exposed.crop(xs, zs)),
+            colors,
         };
-        let (starts, bytes) = lists(geometry);
-        blob.table(Section::GeometryTable, &starts);
-        blob.section(Section::Geometry, &bytes);
-        if self.scene.encoding == Encoding::Surface {
-            let mut fill = vec![0; bytes.len().div_ceil(16)];
-            for ((x, z), start) in columns().zip(&starts) {
-                let mut inside = solid.column(x, z).iter();
-                let mut run = inside.next();
-                for (i, shown) in geometry.column(x, z).iter().enumerate() {
-                    while run.is_some_and(|r| r.last() < shown.first()) {
-                        run = inside.next();
-                    }
-                    // The ends of a solid run are exposed, so what follows inside it is hidden.
-                    if run.is_some_and(|r| r.last() > shown.last()) {
-                        let bit = *start as usize / 2 + i;
-                        fill[bit / 8] |= 1 << (bit % 8);
-                    }
+        tile_blob(&tile, self.scene.encoding, self.scene.color).map_err(|len| too_long(self.k, tx, tz, len))
+    }
+}
+
+pub(crate) fn too_long(level: usize, tx: u32, tz: u32, len: usize) -> Error {
+    Error::Limit(format!("tile ({tx}, {tz}) of level {level} takes {len} bytes, a tile holds at most 2³² − 1"))
+}
+
+/// The directory entry of a tile, less its offset, and its blob; no bytes where the tile is empty. The tile has its
+/// exposed runs whatever the modes. An error is the number of bytes, beyond 32 bits.
+pub(crate) fn tile_blob(tile: &Level, encoding: Encoding, color: ColorMode) -> Result<(TileEntry, Vec<u8>), usize> {
+    let solid = &tile.solid;
+    let exposed = tile.exposed.as_ref().expect("tiles to write have exposed runs");
+    let geometry = tile.geometry(encoding);
+    let n_columns = solid.offsets().len() - 1;
+    let form = Form::of(solid.ny());
+    if solid.runs().is_empty() {
+        return Ok((TileEntry { flags: format::EMPTY, ..TileEntry::zeroed() }, Vec::new()));
+    }
+    let mut entry = TileEntry {
+        n_exposed: exposed.voxels(),
+        n_runs: geometry.runs().len() as u32,
+        y_min: u16::MAX,
+        ..TileEntry::zeroed()
+    };
+    for run in solid.runs() {
+        entry.n_solid += u64::from(run.len());
+        entry.y_min = entry.y_min.min(run.first());
+        entry.y_max = entry.y_max.max(run.last());
+    }
+
+    let mut blob = Blob::new(solid.nx() as u16, solid.nz() as u16);
+    let lists = |of: &Columns| {
+        let mut starts = Vec::with_capacity(n_columns);
+        let mut bytes = Vec::with_capacity(4 * of.runs().len());
+        for ix in 0..n_columns {
+            starts.push(bytes.len() as u64);
+            column_rle::encode(&of.runs()[of.range(ix)], form, &mut bytes);
+        }
+        (starts, bytes)
+    };
+    let (starts, bytes) = lists(geometry);
+    blob.table(Section::GeometryTable, &starts);
+    blob.section(Section::Geometry, &bytes);
+    if encoding == Encoding::Surface {
+        let mut fill = vec![0; bytes.len().div_ceil(16)];
+        for (ix, start) in starts.iter().enumerate() {
+            let mut inside = solid.runs()[solid.range(ix)].iter();
+            let mut run = inside.next();
+            for (i, shown) in geometry.runs()[geometry.range(ix)].iter().enumerate() {
+                while run.is_some_and(|r| r.last() < shown.first()) {
+                    run = inside.next();
+                }
+                // The ends of a solid run are exposed, so what follows inside it is hidden.
+                if run.is_some_and(|r| r.last() > shown.last()) {
+                    let bit = *start as usize / 2 + i;
+                    fill[bit / 8] |= 1 << (bit % 8);
                 }
             }
-            blob.section(Section::Fill, &fill);
-        } else if self.scene.color == ColorMode::Voxel {
-            let (starts, bytes) = lists(&self.exposed);
-            blob.table(Section::ExposureTable, &starts);
-            blob.section(Section::Exposure, &bytes);
         }
-        if self.scene.color != ColorMode::None {
-            let mut starts = Vec::new();
-            let mut colors: Vec<u8> = Vec::new();
-            for z in zs.clone() {
-                let row = solid.index(xs.start, z);
-                let first = &self.first_color[row..=row + xs.len()];
-                let before = (colors.len() / 3) as u64;
-                starts.extend(first[..xs.len()].iter().map(|f| before + f - first[0]));
-                let row = first[0] as usize..first[xs.len()] as usize;
-                colors.extend(self.level.colors[row].as_flattened());
-            }
-            blob.table(Section::ColorTable, &starts);
-            blob.section(Section::Colors, &colors);
-        }
-        let blob = blob.finish().map_err(|len| {
-            Error::Limit(format!(
-                "tile ({tx}, {tz}) of level {} takes {len} bytes, a tile holds at most 2³² − 1",
-                self.k
-            ))
-        })?;
-        entry.len = blob.len() as u32;
-        entry.checksum = xxh3_64(&blob);
-        Ok((entry, blob))
+        blob.section(Section::Fill, &fill);
+    } else if color == ColorMode::Voxel {
+        let (starts, bytes) = lists(exposed);
+        blob.table(Section::ExposureTable, &starts);
+        blob.section(Section::Exposure, &bytes);
     }
+    if color != ColorMode::None {
+        let mut starts: Vec<u64> = match color {
+            ColorMode::Voxel => exposed.voxel_offsets(),
+            _ => geometry.offsets().iter().map(|&n| u64::from(n)).collect(),
+        };
+        starts.pop();
+        blob.table(Section::ColorTable, &starts);
+        blob.section(Section::Colors, tile.colors.as_flattened());
+    }
+    let blob = blob.finish()?;
+    entry.len = blob.len() as u32;
+    entry.checksum = xxh3_64(&blob);
+    Ok((entry, blob))
 }
 
 /// A blob under construction. Offsets may pass 32 bits until [`Blob::finish`] looks.

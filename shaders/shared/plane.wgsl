@@ -17,8 +17,8 @@ struct Plane {
     base: u32,
     lod_first: u32,
     cell: vec2<i32>,
+    turn: u32,
     _pad0: u32,
-    _pad1: u32,
 }
 
 @group(0) @binding(1) var<storage, read> planes: array<Plane>;

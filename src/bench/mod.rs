@@ -1,7 +1,7 @@
 //! `planecast bench`: the papers' tables measured here, beside the papers' own figures.
 //!
-//! A run leaves a folder: `rows.csv` and `rows.json` with every row, measured or quoted; `plots/*.svg`; `pictures/*.png` of the
-//! scenes; `index.html`, one page with all of it; `journal.jsonl`, what is measured so far, from which a run that was stopped
+//! A run leaves a folder: `bench.csv` and `bench.json` with every row, measured or quoted; `plots/*.svg`; `pictures/*.png` of the
+//! scenes; `bench.html`, one page with all of it; `journal.jsonl`, what is measured so far, from which a run that was stopped
 //! goes on; and `scenes/`, encoded scenes, which may be deleted.
 //!
 //! | part | scenes and views |
@@ -156,7 +156,7 @@ pub fn run(settings: &Settings, tell: &mut dyn FnMut(&str)) -> Result<()> {
         pictures: &pictures,
     };
     write_all(settings, &results, &plots)?;
-    say(&format!("{} rows in {}", rows.len(), settings.output.join("index.html").display()));
+    say(&format!("{} rows in {}", rows.len(), settings.output.join("bench.html").display()));
     Ok(())
 }
 
@@ -167,15 +167,15 @@ fn write_all(settings: &Settings, results: &Results<'_>, plots: &Path) -> Result
     for (name, svg) in &svgs {
         files.push(output::write(&plots.join(name), |out| out.write_all(svg.as_bytes()))?);
     }
-    files.push(output::write(&settings.output.join("rows.csv"), |out| {
+    files.push(output::write(&settings.output.join("bench.csv"), |out| {
         let mut csv = csv::Writer::from_writer(out);
         all.iter().try_for_each(|row| csv.serialize(row)).map_err(io::Error::other)?;
         csv.flush()
     })?);
     let json = serde_json::json!({ "about": results.about, "rows": all });
-    files.push(output::write(&settings.output.join("rows.json"), |out| output::json(out, &json))?);
+    files.push(output::write(&settings.output.join("bench.json"), |out| output::json(out, &json))?);
     let page = results.page(&svgs);
-    files.push(output::write(&settings.output.join("index.html"), |out| out.write_all(page.as_bytes()))?);
+    files.push(output::write(&settings.output.join("bench.html"), |out| out.write_all(page.as_bytes()))?);
     files.into_iter().try_for_each(|f| f.finish())?;
     Ok(())
 }

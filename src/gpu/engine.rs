@@ -59,16 +59,14 @@ impl Engine {
         }))
         .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
         let failure = Arc::new(Mutex::new(None));
-        let note = |failure: &Arc<Mutex<Option<String>>>, text: String| {
-            failure.lock().unwrap_or_else(|e| e.into_inner()).get_or_insert(text);
-        };
         let seen = failure.clone();
-        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| note(&seen, one_line(&e.to_string()))));
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
+            lock(&seen).get_or_insert(one_line(&e.to_string()));
+        }));
         let seen = failure.clone();
-        device.set_device_lost_callback(move |reason, text| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                note(&seen, format!("device lost: {}", one_line(&text)));
-            }
+        device.set_device_lost_callback(move |_, text| {
+            // Why everything else fails.
+            lock(&seen).replace(format!("device lost: {}", one_line(&text)));
         });
         let tick_ns = features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
         let software = info.device_type == wgpu::DeviceType::Cpu;
@@ -89,7 +87,7 @@ impl Engine {
 
     /// An error if the device reported one since it was opened.
     pub fn check(&self) -> Result<()> {
-        match &*self.failure.lock().unwrap_or_else(|e| e.into_inner()) {
+        match &*lock(&self.failure) {
             Some(text) => Err(Error::Device(format!("{}: {text}; try --device cpu", self.name))),
             None => Ok(()),
         }
@@ -112,14 +110,13 @@ impl Engine {
         let made = make();
         let memory = pollster::block_on(memory.pop());
         let invalid = pollster::block_on(invalid.pop());
-        match memory.or(invalid) {
-            None => Ok(made),
-            Some(e) => Err(Error::Limit(format!(
-                "{what}: {} cannot hold it ({}); try --device cpu",
-                self.name,
-                one_line(&e.to_string())
-            ))),
-        }
+        let Some(e) = memory.or(invalid) else { return Ok(made) };
+        self.check_lost()?;
+        Err(Error::Limit(format!(
+            "{what}: {} cannot hold it ({}); try --device cpu",
+            self.name,
+            one_line(&e.to_string())
+        )))
     }
 
     /// Waits until all that was submitted is done.
@@ -130,9 +127,14 @@ impl Engine {
 
     /// Waits for one submission, or for the latest.
     pub fn wait(&self, submission: Option<wgpu::SubmissionIndex>) -> Result<()> {
-        self.device
-            .poll(wgpu::PollType::Wait { submission_index: submission, timeout: None })
-            .map_err(|e| Error::Device(format!("{}: {e}; try --device cpu", self.name)))?;
+        let done = self.device.poll(wgpu::PollType::Wait { submission_index: submission, timeout: None });
+        self.check_lost()?;
+        done.map(drop).map_err(|e| Error::Device(format!("{}: {e}; try --device cpu", self.name)))
+    }
+
+    /// Like [`Engine::check`], where something has failed: a device that is lost says so when it is polled.
+    fn check_lost(&self) -> Result<()> {
+        let _ = self.device.poll(wgpu::PollType::Poll);
         self.check()
     }
 
@@ -178,6 +180,10 @@ impl Engine {
         // draws the same pictures with the checks on.
         unsafe { self.device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|e| e.into_inner())
 }
 
 /// The first adapter whose name holds `name`, whatever the case.

@@ -270,8 +270,8 @@ mod tests {
                     base,
                     lod_first,
                     cell,
-                    _pad0,
-                    _pad1
+                    turn,
+                    _pad0
                 }),
             ),
             (

@@ -56,8 +56,9 @@ pub struct Plane {
     pub base: u32,
     pub lod_first: u32,
     pub cell: [i32; 2],
+    /// The plane that is walked in this one's place: see [`turns`].
+    pub turn: u32,
     pub _pad0: u32,
-    pub _pad1: u32,
 }
 
 /// See [`crate::plane_setup::Fan`].
@@ -162,6 +163,9 @@ impl Upload {
     pub fn new(resident: &Resident, setup: &Setup, camera: &Camera, options: &Options) -> Upload {
         let mut up = Upload { frame: frame_params(resident, setup, camera, options), ..Upload::default() };
         up.planes = setup.planes.iter().map(Plane::new).collect();
+        for (plane, turn) in up.planes.iter_mut().zip(turns(setup, &up.frame)) {
+            plane.turn = turn;
+        }
         for f in 0..4 {
             up.frame.fans[f].bounds = NONE;
             if setup.fans[f].n_planes > 0 && setup.fans[f].readjusted.is_some() {
@@ -210,6 +214,28 @@ impl Upload {
             }
         }
     }
+}
+
+/// The order in which planes are walked, those that reach farthest first: whatever runs to the end of the view is then not
+/// begun last. Planes that reach about as far stay side by side, where they meet the same columns.
+fn turns(setup: &Setup, frame: &FrameParams) -> Vec<u32> {
+    let reach = |p: &crate::plane_setup::Plane| {
+        let sight = |u: u32| (p.b - f64::from(u) * p.e, f64::from(u) * p.c - p.a);
+        let ((t_low, h_low), (t_high, h_high)) = (sight(p.first), sight(p.end));
+        let mut end = p.t_end;
+        // All that it sees lies below the eye, or above.
+        if h_high < 0.0 {
+            end = end.min(f64::from(frame.bottom) * t_high / h_high);
+        }
+        if h_low > 0.0 {
+            end = end.min(f64::from(frame.top) * t_low / h_low);
+        }
+        (end - p.t_start).max(1.0).log2() as u32
+    };
+    let reaches: Vec<u32> = setup.planes.iter().map(reach).collect();
+    let mut turns: Vec<u32> = (0..setup.planes.len() as u32).collect();
+    turns.sort_by_key(|&p| std::cmp::Reverse(reaches[p as usize]));
+    turns
 }
 
 fn narrowing(here: f64, far: f64) -> f64 {
@@ -311,5 +337,38 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
         normals: u32::from(shade.normals),
         occlusion: u32::from(shade.occlusion),
         view_distance: setup.view_distance.min(VIEW_LIMIT) as f32,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plane_setup::plane_setup;
+    use planecast_encoder::source::procedural::{Kind, procedural};
+    use planecast_encoder::{BuildOptions, build};
+
+    #[test]
+    fn turns_take_every_plane_once_and_those_that_see_the_horizon_first() {
+        let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
+        let resident = Resident::new(&scene);
+        let eye = glam::DVec3::new(20.3, 70.2, 30.1);
+        let camera = Camera { eye, yaw: 20.0, pitch: -35.0, roll: 25.0, fov: 70.0, width: 160, height: 120 };
+        let repeat = crate::options::Repeat { x: true, z: true };
+        let options = Options { repeat, view_distance: 9000.0, ..Options::default() };
+        let setup = plane_setup(&resident, &camera, &options);
+        let turns: Vec<usize> =
+            Upload::new(&resident, &setup, &camera, &options).planes.iter().map(|p| p.turn as usize).collect();
+        let mut sorted = turns.clone();
+        sorted.sort();
+        assert!(sorted.into_iter().eq(0..setup.planes.len()));
+        // How far a plane sees over ground that lies 70 voxels below the eye.
+        let sees = |&p: &usize| {
+            let p = &setup.planes[p];
+            let (t, h) = (p.b - f64::from(p.end) * p.e, f64::from(p.end) * p.c - p.a);
+            if h < 0.0 { -70.0 * t / h } else { f64::INFINITY }
+        };
+        let far = turns.iter().rposition(|p| sees(p) > 9000.0).unwrap();
+        let near = turns.iter().position(|p| sees(p) < 4000.0).unwrap();
+        assert!(far > 10 && near < turns.len() - 10 && far < near, "{far} {near} of {}", turns.len());
     }
 }

@@ -41,7 +41,7 @@ pub struct Job<'j> {
     pub base: Options,
     /// Choose the least error within so many milliseconds a frame.
     pub budget_ms: Option<f64>,
-    /// Choose the fastest with at most this mean FLIP.
+    /// Choose the fastest with at most this mean FLIP against one exact ray a pixel.
     pub max_error: Option<f64>,
 }
 

@@ -325,8 +325,9 @@ impl Row {
         self.time(|t| t.total).map_or(f64::INFINITY, |t| t[1])
     }
 
+    /// FLIP against the exact renderer with one ray a pixel: the error that the method adds.
     pub fn flip(&self) -> f64 {
-        self.mean(|e| e.errors.flip)
+        self.mean(|e| e.errors.flip_exact)
     }
 
     pub fn other(&self) -> f64 {

@@ -8,17 +8,23 @@
 //!   feet. Degrees become metres at the latitude of the image's centre;
 //! - for other 16-bit or float values 1, or less, so that the highest is a quarter of the longer side at most.
 //!
+//! NPY arrays of two axes and USGS DEMs are height maps, too; a folder of GeoTIFF tiles is one.
+//!
 //! Values below 0 (sea floor) lift the whole map so that its lowest value is 0; otherwise nothing is subtracted.
 
 use std::io::Cursor;
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
-use super::{ReadOptions, build_rows, guarded, map, world_dims};
-use crate::{Colors, Error, Input, Result, Rgb, Run};
+use super::heights::Heights;
+use super::{ReadOptions, guarded, map, world_dims};
+use crate::pieces::{ColorFn, Rows};
+use crate::{ColumnsBuilder, Error, Result, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not
 /// worth asking memory for.
@@ -27,11 +33,9 @@ const MAX_INFLATION: u64 = 1100;
 /// Metres a degree of latitude (WGS 84, mean).
 const METRES_PER_DEGREE: f64 = 111_320.0;
 
-/// Heights of an image, NaN where there is no data.
+/// A map as a file holds it.
 struct Map {
-    width: u32,
-    height: u32,
-    values: Vec<f32>,
+    heights: Heights,
     /// Eight-bit values, whose unit is the voxel.
     eight_bit: bool,
     /// Width of a pixel in units of the values, and how that was found.
@@ -39,20 +43,102 @@ struct Map {
     notes: Vec<String>,
 }
 
-pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Rows> {
     let tiff = bytes.starts_with(b"II") || bytes.starts_with(b"MM");
     let map = if tiff { guarded(path, "TIFF", || read_tiff(path, bytes)) } else { read_image(path, bytes) }?;
-    let Map { width, height, values, eight_bit, pixel, mut notes } = map;
+    rows(path, map, bytes.len() as u64, opts)
+}
 
-    let (low, high) = values
-        .par_iter()
-        .filter(|v| v.is_finite())
-        .fold(|| (f64::INFINITY, f64::NEG_INFINITY), |(a, b), &v| (a.min(v.into()), b.max(v.into())))
-        .reduce(|| (f64::INFINITY, f64::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+/// A grid of heights that were read elsewhere; `pixel` is the width of a pixel in their unit, if known.
+pub(super) fn of_heights(
+    path: &Path,
+    heights: Heights,
+    pixel: Option<f64>,
+    input_bytes: u64,
+    opts: &ReadOptions,
+) -> Result<Rows> {
+    let pixel = pixel.map(|width| (width, format!("{width:.2} m")));
+    rows(path, Map { heights, eight_bit: false, pixel, notes: Vec::new() }, input_bytes, opts)
+}
+
+/// GeoTIFF tiles of one grid, put together by the places that they state; what no tile covers has no data.
+pub(super) fn mosaic(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result<Rows> {
+    let mut tiles = Vec::new();
+    let mut input_bytes = 0;
+    for file in files {
+        let bytes = map(file)?;
+        input_bytes += bytes.len() as u64;
+        let (place, size) = guarded(file, "TIFF", || geo_place(file, &bytes))?;
+        let place = place.ok_or_else(|| Error::format(file, "no place on Earth; every tile of a mosaic needs one"))?;
+        tiles.push((file, place, size));
+    }
+    let Some(&(_, GeoPlace { step, .. }, _)) = tiles.first() else {
+        return Err(Error::format(path, "no GeoTIFF tiles"));
+    };
+    if let Some((file, place, _)) = tiles.iter().find(|t| (0..2).any(|i| (t.1.step[i] / step[i] - 1.0).abs() > 1e-6)) {
+        return Err(Error::format(*file, format!("pixels of {:?}, those of the first tile are {step:?}", place.step)));
+    }
+    let west = tiles.iter().map(|t| t.1.corner[0]).fold(f64::INFINITY, f64::min);
+    let north = tiles.iter().map(|t| t.1.corner[1]).fold(f64::NEG_INFINITY, f64::max);
+    let at =
+        |place: &GeoPlace| [(place.corner[0] - west) / step[0], (north - place.corner[1]) / step[1]].map(f64::round);
+    let ends = tiles.iter().map(|(_, place, size)| [0, 1].map(|i| at(place)[i] + f64::from(size[i])));
+    let [width, height] = ends.fold([0.0, 0.0], |a: [f64; 2], b| [a[0].max(b[0]), a[1].max(b[1])]);
+    let dims = world_dims(path, [width as u64, 1, height as u64], "")?;
+    let mut all = Heights::new(dims[0], dims[2])?;
+    all.clear()?;
+    let (mut pixel, mut notes) = (None, vec![format!("{} tiles, {width} × {height} pixels", tiles.len())]);
+    for (file, place, _) in &tiles {
+        let bytes = map(file)?;
+        let tile = guarded(file, "TIFF", || read_tiff(file, &bytes))?;
+        let mut row = vec![0.0; tile.heights.width as usize];
+        let [x, z] = at(place).map(|v| v as u32);
+        for i in 0..tile.heights.height {
+            tile.heights.row(0, i, &mut row)?;
+            all.put(x, z + i, tile.heights.width, &row)?;
+        }
+        if pixel.is_none() {
+            (pixel, notes) = (tile.pixel, [notes, tile.notes].concat());
+        }
+    }
+    rows(path, Map { heights: all, eight_bit: false, pixel, notes }, input_bytes, opts)
+}
+
+/// Where a GeoTIFF lies: its north-western corner and the sides of a pixel.
+#[derive(Clone, Copy, Debug)]
+struct GeoPlace {
+    corner: [f64; 2],
+    step: [f64; 2],
+}
+
+fn geo_place(path: &Path, bytes: &[u8]) -> Result<(Option<GeoPlace>, [u32; 2])> {
+    let fail = |e: tiff::TiffError| Error::format(path, format!("TIFF: {e}"));
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(fail)?;
+    let (width, height) = decoder.dimensions().map_err(fail)?;
+    plausible(path, width, height, bytes.len())?;
+    let mut doubles = |t: Tag| tag(&mut decoder, t).and_then(|v| v.into_f64_vec().ok()).unwrap_or_default();
+    let (scale, tie) = (doubles(Tag::ModelPixelScaleTag), doubles(Tag::ModelTiepointTag));
+    let place = match (scale.as_slice(), tie.as_slice()) {
+        (&[sx, sy, ..], &[column, row, _, x, y, ..]) if sx > 0.0 && sy > 0.0 => {
+            Some(GeoPlace { corner: [x - column * sx, y + row * sy], step: [sx, sy] })
+        }
+        _ => None,
+    };
+    Ok((place, [width, height]))
+}
+
+/// Whether a TIFF says where on Earth it lies.
+pub(super) fn is_geographic(path: &Path, bytes: &[u8]) -> bool {
+    guarded(path, "TIFF", || geo_place(path, bytes)).is_ok_and(|(place, _)| place.is_some())
+}
+
+fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<Rows> {
+    let Map { heights, eight_bit, pixel, mut notes } = map;
+    let Heights { width, height, low, high, .. } = heights;
     if low > high {
         return Err(Error::format(path, "no pixel of the height map has data"));
     }
-    let missing = values.par_iter().filter(|v| !v.is_finite()).count();
+    let missing = u64::from(width) * u64::from(height) - heights.known;
     if missing > 0 {
         notes.push(format!("{missing} pixels without data are empty columns"));
     }
@@ -85,21 +171,19 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
     }
 
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
-    let columns = build_rows(dims, |z, columns| {
-        let at = z as usize * width as usize;
-        for &value in &values[at..at + width as usize] {
+    let color = opts.colors.as_ref().map(|path| color_map(path, width, height, &mut notes)).transpose()?;
+    let row = move |xs: Range<u32>, z: u32, columns: &mut ColumnsBuilder| {
+        let mut values = vec![0.0; xs.len()];
+        heights.row(xs.start, z, &mut values)?;
+        for value in values {
             if value.is_finite() {
                 columns.push_run(Run::new(0, ((f64::from(value) - base) * scale).round() as u16));
             }
             columns.end_column();
         }
         Ok(())
-    })?;
-    let colors = match &opts.colors {
-        Some(path) => Colors::Column(color_map(path, width, height, &mut notes)?),
-        None => Colors::None,
     };
-    Ok(Input { columns, colors, notes })
+    Ok(Rows { dims, row: Box::new(row), color, notes, input_bytes })
 }
 
 /// Decodes an image after checking what it claims against the bytes there are.
@@ -119,7 +203,7 @@ fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
     })
 }
 
-fn plausible(path: &Path, w: u32, h: u32, len: usize) -> Result<()> {
+pub(super) fn plausible(path: &Path, w: u32, h: u32, len: usize) -> Result<()> {
     if w == 0 || h == 0 {
         return Err(Error::format(path, format!("an image of {w} × {h} pixels has none")));
     }
@@ -142,13 +226,13 @@ fn read_image(path: &Path, bytes: &[u8]) -> Result<Map> {
         notes.push("the height map is a colour image: its brightness is the height".to_owned());
     }
     let eight_bit = !matches!(image, ImageLuma16(_) | ImageLumaA16(_) | ImageRgb16(_) | ImageRgba16(_));
-    let values = match image {
+    let values: Vec<f32> = match image {
         ImageLuma8(i) => i.iter().map(|&v| f32::from(v)).collect(),
         ImageLumaA8(i) => i.pixels().map(|p| f32::from(p.0[0])).collect(),
         i if eight_bit => i.to_luma8().iter().map(|&v| f32::from(v)).collect(),
         i => i.to_luma16().iter().map(|&v| f32::from(v)).collect(),
     };
-    Ok(Map { width, height, values, eight_bit, pixel: None, notes })
+    Ok(Map { heights: Heights::of(width, height, &values)?, eight_bit, pixel: None, notes })
 }
 
 /// TIFF and GeoTIFF.
@@ -172,25 +256,32 @@ fn read_tiff(path: &Path, bytes: &[u8]) -> Result<Map> {
         .and_then(|v| v.into_string().ok())
         .and_then(|s| s.trim_matches(['\0', ' ']).parse().ok());
     let pixel = pixel_width(&mut decoder, height, &mut notes);
-    let values: Vec<f32> = match decoder.read_image().map_err(fail)? {
-        DecodingResult::U8(v) => floats(&v, nodata, |v| v.into()),
-        DecodingResult::I8(v) => floats(&v, nodata, |v| v.into()),
-        DecodingResult::U16(v) => floats(&v, nodata, |v| v.into()),
-        DecodingResult::I16(v) => floats(&v, nodata, |v| v.into()),
-        DecodingResult::U32(v) => floats(&v, nodata, |v| v.into()),
-        DecodingResult::I32(v) => floats(&v, nodata, |v| v.into()),
-        // The tag's text may be the f32 value with more digits or fewer.
-        DecodingResult::F32(v) => floats(&v, nodata.map(|n| f64::from(n as f32)), |v| v.into()),
-        DecodingResult::F64(v) => floats(&v, nodata, |v| v),
-        _ => return Err(Error::format(path, "TIFF of 64-bit integers or half floats; convert it to f32")),
-    };
-    if values.len() as u64 != u64::from(width) * u64::from(height) {
-        return Err(Error::format(path, format!("TIFF: {} values for {width} × {height} pixels", values.len())));
+    let (wide, high) = decoder.chunk_dimensions();
+    let across = width.div_ceil(wide.max(1));
+    let mut heights = Heights::new(width, height)?;
+    for chunk in 0..across * height.div_ceil(high.max(1)) {
+        let values: Vec<f32> = match decoder.read_chunk(chunk).map_err(fail)? {
+            DecodingResult::U8(v) => floats(&v, nodata, |v| v.into()),
+            DecodingResult::I8(v) => floats(&v, nodata, |v| v.into()),
+            DecodingResult::U16(v) => floats(&v, nodata, |v| v.into()),
+            DecodingResult::I16(v) => floats(&v, nodata, |v| v.into()),
+            DecodingResult::U32(v) => floats(&v, nodata, |v| v.into()),
+            DecodingResult::I32(v) => floats(&v, nodata, |v| v.into()),
+            // The tag's text may be the f32 value with more digits or fewer.
+            DecodingResult::F32(v) => floats(&v, nodata.map(|n| f64::from(n as f32)), |v| v.into()),
+            DecodingResult::F64(v) => floats(&v, nodata, |v| v),
+            _ => return Err(Error::format(path, "TIFF of 64-bit integers or half floats; convert it to f32")),
+        };
+        let (w, h) = decoder.chunk_data_dimensions(chunk);
+        if values.len() as u64 != u64::from(w) * u64::from(h) {
+            return Err(Error::format(path, format!("TIFF: {} values for {w} × {h} pixels", values.len())));
+        }
+        heights.put(chunk % across * wide, chunk / across * high, w, &values)?;
     }
     if decoder.more_images() {
         notes.push("the TIFF has further pages (overviews, a stack); the first is read".to_owned());
     }
-    Ok(Map { width, height, values, eight_bit: bits <= 8, pixel, notes })
+    Ok(Map { heights, eight_bit: bits <= 8, pixel, notes })
 }
 
 fn floats<T: Copy + Sync>(values: &[T], nodata: Option<f64>, to_f64: impl Fn(T) -> f64 + Sync) -> Vec<f32> {
@@ -250,8 +341,8 @@ fn pixel_width(decoder: &mut Decoder<Cursor<&[u8]>>, height: u32, notes: &mut Ve
     (wide.is_finite() && wide > 0.0).then_some((wide, how))
 }
 
-/// One colour a column: the nearest pixel of the colour map.
-fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> Result<Vec<Rgb>> {
+/// The colour of a column: the nearest pixel of the colour map.
+fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> Result<Arc<ColorFn>> {
     let bytes = map(path)?;
     let image = decode(path, &bytes)?.to_rgb8();
     let (w, h) = image.dimensions();
@@ -260,10 +351,5 @@ fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> R
     }
     // The pixel that holds the centre of the column.
     let nearest = |i: u32, n: u32, m: u32| ((2 * u64::from(i) + 1) * u64::from(m) / (2 * u64::from(n))) as u32;
-    let mut out = Vec::with_capacity(width as usize * height as usize);
-    for z in 0..height {
-        let row = nearest(z, height, h);
-        out.extend((0..width).map(|x| image.get_pixel(nearest(x, width, w), row).0));
-    }
-    Ok(out)
+    Ok(Arc::new(move |x, _, z| image.get_pixel(nearest(x, width, w), nearest(z, height, h)).0))
 }

@@ -6,25 +6,35 @@
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
+//! | `mesh`, `ply` | PLY, OBJ, STL, glTF | as stored, or z-up by `--up z` |
+//! | `points` | LAS, LAZ, PLY without faces | z-up |
 //! | `procedural` | nothing: seeded functions | y-up |
 //!
 //! Every reader takes the whole file as bytes (memory-mapped), checks each size it claims against them before it
 //! asks for memory, and answers bad bytes with an [`Error`], never a panic.
 
+mod dem;
 mod heightmap;
+mod heights;
+mod mesh;
+mod ply;
+mod points;
 pub mod procedural;
+mod spots;
+mod stack;
 mod volume;
 mod vox;
 mod vxl;
+
+pub(crate) use volume::{read_at, write_at};
 
 use std::fs::{self, File};
 use std::io::Read;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
-
-use crate::{Columns, ColumnsBuilder, Error, Input, Result};
+use crate::pieces::{self, InMemory, Pieces};
+use crate::{Error, Input, Result};
 
 /// Highest column that a scene can hold, in voxels.
 pub const MAX_HEIGHT: u64 = 65_536;
@@ -53,6 +63,12 @@ pub struct ReadOptions {
     /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
+    /// Voxels along the longest side of a mesh or a cloud of points, up to 16384 [default: 512; of LAS see --voxel]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=16384))]
+    pub size: Option<u32>,
+    /// Side of a voxel in units of a mesh or a cloud of points [default of LAS: the mean distance of points]
+    #[arg(long, value_name = "UNITS", value_parser = positive, conflicts_with = "size")]
+    pub voxel: Option<f64>,
     /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     pub height_scale: Option<f64>,
@@ -71,18 +87,34 @@ pub enum Format {
     Nifti,
     /// PNG, JPEG, TIFF or GeoTIFF image of heights
     Heightmap,
+    /// USGS ASCII digital elevation model
+    Dem,
+    /// TIFF images as slices of a volume: the pages of a file, or the files of a folder
+    Stack,
     /// Voxlap or Ace of Spades map
     Vxl,
     /// MagicaVoxel model or scene
     Vox,
+    /// PLY mesh or cloud of points, plain or gzip
+    Ply,
+    /// STL mesh
+    Stl,
+    /// Wavefront OBJ mesh
+    Obj,
+    /// glTF or GLB scene of meshes
+    Gltf,
+    /// LAS or LAZ cloud of points
+    Las,
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Up {
+    /// Input (x, y, z) is world (z, x, y)
+    X,
     /// Input (x, y, z) is world (x, y, z)
     #[default]
     Y,
@@ -121,6 +153,10 @@ fn number(s: &str) -> Result<f64, String> {
     s.trim().parse().ok().filter(|v: &f64| !v.is_nan()).ok_or_else(|| "expected a number".to_owned())
 }
 
+fn positive(s: &str) -> Result<f64, String> {
+    number(s).ok().filter(|&v| v > 0.0 && v.is_finite()).ok_or_else(|| "expected a number above 0".to_owned())
+}
+
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
     let wrong = || "expected three whole numbers, as in 256,128,64".to_owned();
     let parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
@@ -133,42 +169,162 @@ fn parse_dims(s: &str) -> Result<[u64; 3], String> {
 
 /// Reads the file at `path`, or makes the scene that a name like `procedural:terrain?size=512&seed=7` describes.
 pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
+    pieces::whole(&*open_pieces(path, opts)?)
+}
+
+/// The same, read piece by piece; volumes are never in memory as a whole.
+pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
         return procedural::from_name(name);
     }
-    read(path, &map(path)?, opts)
+    if path.is_dir() {
+        return folder(path, opts);
+    }
+    let bytes = map(path)?;
+    match find(path, &bytes, opts)? {
+        World::Volume(volume) => Ok(Box::new(volume.in_file(path, &bytes)?)),
+        World::Pieces(pieces) => Ok(pieces),
+    }
+}
+
+/// A folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by name.
+fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
+    let failed = |e| Error::io(path, "read", e);
+    let mut files = Vec::new();
+    for entry in fs::read_dir(path).map_err(failed)? {
+        let file = entry.map_err(failed)?.path();
+        let kind = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if matches!(kind.as_str(), "tif" | "tiff") {
+            files.push(file);
+        }
+    }
+    // Numbers in names by their value: slice2 before slice10.
+    files.sort_by_cached_key(|file| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let parts = name.as_bytes().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit());
+        let number = |part: &[u8]| std::str::from_utf8(part).ok()?.parse::<u64>().ok();
+        let key: Vec<(u64, Vec<u8>)> = parts.map(|part| (number(part).unwrap_or(u64::MAX), part.to_vec())).collect();
+        key
+    });
+    let Some(first) = files.first() else {
+        return Err(Error::format(
+            path,
+            "a folder without .tif files; expected the slices of a volume or tiles of a map",
+        ));
+    };
+    if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
+        return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));
+    }
+    Ok(Box::new(stack::read(path, &files, opts)?))
+}
+
+/// What a reader finds.
+enum World<'a> {
+    /// Values that stay where they are.
+    Volume(volume::Volume<'a>),
+    Pieces(Box<dyn Pieces>),
+}
+
+impl From<Input> for World<'_> {
+    fn from(input: Input) -> Self {
+        World::Pieces(Box::new(InMemory::new(input)))
+    }
 }
 
 /// Reads an input whose file at `path` holds `bytes`.
 pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+    match find(path, bytes, opts)? {
+        World::Volume(volume) => pieces::whole(&volume),
+        World::Pieces(pieces) => pieces::whole(&*pieces),
+    }
+}
+
+/// What the file at `path`, which holds `bytes`, is a picture of.
+fn find<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a>> {
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
         None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
     };
-    let mut input = match format {
-        Format::Raw => volume::raw(path, bytes, opts),
-        Format::Npy => volume::npy(path, bytes, opts),
-        Format::Nrrd => volume::nrrd(path, bytes, opts),
-        Format::Nifti => volume::nifti(path, bytes, opts),
-        Format::Heightmap => heightmap::read(path, bytes, opts),
-        Format::Vxl => vxl::read(path, bytes),
-        Format::Vox => vox::read(path, bytes),
-    }?;
+    let mut notes = Vec::new();
     let mut unused = |flag: &str, given: bool, why: &str| {
         if given {
-            input.notes.push(format!("{flag} is not used: {why}"));
+            notes.push(format!("{flag} is not used: {why}"));
         }
     };
-    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti);
-    let is_map = format == Format::Heightmap;
-    unused("--up", opts.up.is_some() && !is_volume, "the format has an up axis of its own");
+    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack);
+    let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
+    let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
+    unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
+    unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
+    unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
     unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
     unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
-    Ok(input)
+    if format == Format::Npy
+        && let Some(heights) = volume::npy_heights(path, bytes)?
+    {
+        return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
+    }
+    let mut volume = |volume: Result<volume::Volume<'a>>| {
+        let mut volume = volume?;
+        volume.notes.append(&mut notes);
+        Ok(World::Volume(volume))
+    };
+    let mut input = match format {
+        Format::Raw => return volume(volume::raw(path, bytes, opts)),
+        Format::Npy => return volume(volume::npy(path, bytes, opts)),
+        Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
+        Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
+        Format::Heightmap => {
+            let mut map = heightmap::read(path, bytes, opts)?;
+            map.notes.append(&mut notes);
+            return boxed(Ok(map));
+        }
+        Format::Dem => {
+            let (heights, pixel) = dem::read(path, bytes)?;
+            return boxed(heightmap::of_heights(path, heights, Some(pixel), bytes.len() as u64, opts));
+        }
+        Format::Stack => return volume(stack::read(path, &[path.to_owned()], opts)),
+        Format::Vxl => vxl::read(path, bytes),
+        Format::Vox => vox::read(path, bytes),
+        Format::Ply => {
+            let mesh = ply::read(path, bytes)?;
+            return match mesh.triangles.is_empty() {
+                true => boxed(points::Points::of_mesh(path, mesh, opts)),
+                false => boxed(mesh::Voxelized::new(path, mesh, opts)),
+            };
+        }
+        #[cfg(feature = "mesh")]
+        Format::Stl | Format::Obj | Format::Gltf => {
+            let mesh = match format {
+                Format::Stl => mesh::stl(path, bytes),
+                Format::Obj => mesh::obj(path, bytes),
+                _ => mesh::gltf(path, bytes),
+            }?;
+            return boxed(mesh::Voxelized::new(path, mesh, opts));
+        }
+        #[cfg(not(feature = "mesh"))]
+        Format::Stl | Format::Obj | Format::Gltf => return without(path, "meshes other than PLY", "mesh"),
+        #[cfg(feature = "las")]
+        Format::Las => return boxed(points::Points::las(path, opts)),
+        #[cfg(not(feature = "las"))]
+        Format::Las => return without(path, "LAS and LAZ", "las"),
+    }?;
+    input.notes.append(&mut notes);
+    Ok(input.into())
+}
+
+fn boxed<'a>(pieces: Result<impl Pieces + 'static>) -> Result<World<'a>> {
+    Ok(World::Pieces(Box::new(pieces?)))
+}
+
+#[allow(dead_code, reason = "all features may be there")]
+fn without<'a>(path: &Path, what: &str, feature: &str) -> Result<World<'a>> {
+    let path = path.display();
+    Err(Error::Argument(format!("{path}: this planecast reads no {what}; build it with --features {feature}")))
 }
 
 /// The kind of a file from its first bytes (at least 64 KiB of them, or all), and where those tell nothing, from
@@ -181,6 +337,10 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     let fail = |what: &str| Err(Error::format(path, what));
     match name.rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
+        "dem" => Ok(Format::Dem),
+        "stl" => Ok(Format::Stl),
+        "obj" => Ok(Format::Obj),
+        "gltf" => Ok(Format::Gltf),
         "raw" | "bin" => fail("a raw volume does not state its size: give --dims X,Y,Z and --dtype u8|u16|i16|f32"),
         "vox" => fail("byte 0: expected \"VOX \", so this is not a MagicaVoxel file (Slab6 files share the name)"),
         "pcast" => fail("this is a scene already; encode takes what a scene is made from"),
@@ -200,6 +360,10 @@ fn detect_content(head: &[u8]) -> Option<Format> {
         (b"\x93NUMPY", Format::Npy),
         (b"NRRD000", Format::Nrrd),
         (b"VOX ", Format::Vox),
+        (b"ply\n", Format::Ply),
+        (b"ply\r\n", Format::Ply),
+        (b"glTF", Format::Gltf),
+        (b"LASF", Format::Las),
         (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
     ];
     if let Some((_, format)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
@@ -213,6 +377,9 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     } else {
         head
     };
+    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r\n") {
+        return Some(Format::Ply);
+    }
     matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)
 }
 
@@ -246,36 +413,6 @@ fn world_dims(path: &Path, dims: [u64; 3], hint: &str) -> Result<[u32; 3]> {
         return fail(format!("the world would have {nx} × {nz} columns, at most {MAX_COLUMNS} can be held"));
     }
     Ok([nx as u32, ny as u32, nz as u32])
-}
-
-/// Columns made in parallel, one row of constant z at a time: `row` ends `nx` columns in the builder it is given.
-fn build_rows([nx, ny, nz]: [u32; 3], row: impl Fn(u32, &mut ColumnsBuilder) -> Result<()> + Sync) -> Result<Columns> {
-    let rows = (0..nz)
-        .into_par_iter()
-        .map(|z| {
-            let mut columns = ColumnsBuilder::new(nx, ny, 1);
-            row(z, &mut columns)?;
-            Ok(columns.finish())
-        })
-        .collect::<Result<Vec<Columns>>>()?;
-    concat_rows([nx, ny, nz], &rows)
-}
-
-/// One world from its rows of constant z.
-fn concat_rows([nx, ny, nz]: [u32; 3], rows: &[Columns]) -> Result<Columns> {
-    let n_runs: usize = rows.iter().map(|r| r.runs().len()).sum();
-    if u32::try_from(n_runs).is_err() {
-        return Err(Error::Limit(format!("the world has {n_runs} runs, at most {} can be held", u32::MAX)));
-    }
-    let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
-    let mut runs = Vec::with_capacity(n_runs);
-    offsets.push(0);
-    for row in rows {
-        let base = runs.len() as u32;
-        offsets.extend(row.offsets()[1..].iter().map(|o| base + o));
-        runs.extend_from_slice(row.runs());
-    }
-    Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
 }
 
 /// Runs a decoder of somebody else's, so that a panic of its own on hostile bytes is an error like any other. A

@@ -6,9 +6,9 @@ use clap::{Parser, ValueEnum};
 use flate2::write::GzEncoder;
 
 use super::procedural::noise::hash;
-use super::procedural::{Kind, from_name, procedural};
+use super::procedural::{Kind, from_name, procedural, procedural_pieces};
 use super::*;
-use crate::{Colors, Rgb, Run};
+use crate::{Colors, Columns, Rgb, Run};
 
 /// A file in a folder that goes away with it.
 struct File(tempfile::TempDir, PathBuf);
@@ -156,12 +156,20 @@ fn u8_volume() -> Vec<u8> {
 }
 
 /// Compares with one look at `solid` a voxel; `solid` takes file coordinates.
-fn assert_volume(input: &Input, z_up: bool, solid: impl Fn(usize, usize, usize) -> bool) {
+fn assert_volume(input: &Input, up: Up, solid: impl Fn(usize, usize, usize) -> bool) {
     let [nx, ny, nz] = DIMS;
-    let dims = if z_up { [nx, nz, ny] } else { DIMS };
+    let dims = match up {
+        Up::X => [nz, nx, ny],
+        Up::Y => DIMS,
+        Up::Z => [nx, nz, ny],
+    };
     assert_eq!(input.columns.dims().map(|d| d as usize), dims);
     for (x, y, z) in (0..nx * ny * nz).map(|i| (i % nx, i / nx % ny, i / (nx * ny))) {
-        let world = if z_up { [x, z, ny - 1 - y] } else { [x, y, z] };
+        let world = match up {
+            Up::X => [z, x, y],
+            Up::Y => [x, y, z],
+            Up::Z => [x, z, ny - 1 - y],
+        };
         let [wx, wy, wz] = world.map(|v| v as i64);
         assert_eq!(input.columns.solid(wx, wy, wz), solid(x, y, z), "file voxel ({x}, {y}, {z})");
     }
@@ -169,9 +177,9 @@ fn assert_volume(input: &Input, z_up: bool, solid: impl Fn(usize, usize, usize) 
 
 #[test]
 fn raw_voxels_land_where_the_up_axis_says() {
-    for (flags, z_up) in [("", false), ("--up y", false), ("--up z", true)] {
+    for (flags, up) in [("", Up::Y), ("--up y", Up::Y), ("--up z", Up::Z), ("--up x", Up::X)] {
         let input = read("v.raw", &u8_volume(), &format!("--dims 70,5,9 {flags}"));
-        assert_volume(&input, z_up, |x, y, z| value(x, y, z) > 0);
+        assert_volume(&input, up, |x, y, z| value(x, y, z) > 0);
     }
 }
 
@@ -181,7 +189,7 @@ fn raw_comparison_sees_one_wrong_voxel() {
     let mut bytes = u8_volume();
     let last = bytes.last_mut().unwrap();
     *last = u8::from(*last == 0);
-    assert_volume(&read("v.raw", &bytes, "--dims 70,5,9"), false, |x, y, z| value(x, y, z) > 0);
+    assert_volume(&read("v.raw", &bytes, "--dims 70,5,9"), Up::Y, |x, y, z| value(x, y, z) > 0);
 }
 
 #[test]
@@ -190,15 +198,15 @@ fn raw_values_of_every_type_meet_the_iso_value() {
     let volume = |bytes: Vec<u8>, dtype: &str, iso: &str| {
         read("v.raw", &bytes, &format!("--dims 70,5,9 --dtype {dtype} --iso {iso}"))
     };
-    assert_volume(&volume(u8_volume(), "u8", "40"), false, at_least(40));
-    assert_volume(&volume(bytes_of(values(|v| (v as i8).to_le_bytes())), "i8", "-5"), false, |x, y, z| {
+    assert_volume(&volume(u8_volume(), "u8", "40"), Up::Y, at_least(40));
+    assert_volume(&volume(bytes_of(values(|v| (v as i8).to_le_bytes())), "i8", "-5"), Up::Y, |x, y, z| {
         value(x, y, z) as i8 >= -5
     });
-    assert_volume(&volume(bytes_of(values(|v| ((v + 300) as u16).to_le_bytes())), "u16", "340"), false, at_least(40));
-    assert_volume(&volume(bytes_of(values(|v| (v as i16 * 9).to_le_bytes())), "i16", "-270"), false, at_least(-30));
-    assert_volume(&volume(bytes_of(values(|v| (v as f32 / 10.0).to_le_bytes())), "f32", "0.7"), false, at_least(7));
-    assert_volume(&volume(bytes_of(values(|v| f64::from(v).to_le_bytes())), "f64", "1e1"), false, at_least(10));
-    assert_volume(&volume(bytes_of(values(|v| (i64::from(v) << 40).to_le_bytes())), "i64", "0"), false, at_least(0));
+    assert_volume(&volume(bytes_of(values(|v| ((v + 300) as u16).to_le_bytes())), "u16", "340"), Up::Y, at_least(40));
+    assert_volume(&volume(bytes_of(values(|v| (v as i16 * 9).to_le_bytes())), "i16", "-270"), Up::Y, at_least(-30));
+    assert_volume(&volume(bytes_of(values(|v| (v as f32 / 10.0).to_le_bytes())), "f32", "0.7"), Up::Y, at_least(7));
+    assert_volume(&volume(bytes_of(values(|v| f64::from(v).to_le_bytes())), "f64", "1e1"), Up::Y, at_least(10));
+    assert_volume(&volume(bytes_of(values(|v| (i64::from(v) << 40).to_le_bytes())), "i64", "0"), Up::Y, at_least(0));
 }
 
 #[test]
@@ -248,13 +256,15 @@ fn npy_reads_either_order_and_byte_order() {
     let solid = |x, y, z| value(x, y, z) >= 20;
     let shape = "9, 5, 70";
     let c_order = npy_file("<i2", "False", shape, &bytes_of(values(|v| (v as i16).to_le_bytes())));
-    assert_volume(&read("a.npy", &c_order, "--iso 20"), false, solid);
+    assert_volume(&read("a.npy", &c_order, "--iso 20"), Up::Y, solid);
     let big = npy_file(">i2", "False", shape, &bytes_of(values(|v| (v as i16).to_be_bytes())));
-    assert_volume(&read("a.npy", &big, "--iso 20 --up z"), true, solid);
+    assert_volume(&read("a.npy", &big, "--iso 20 --up z"), Up::Z, solid);
     let [nx, ny, nz] = DIMS;
     let data = (0..nx * ny * nz).map(|i| (value(i / (nz * ny), i / nz % ny, i % nz) as i16).to_le_bytes()).collect();
     let fortran = npy_file("<i2", "True", shape, &bytes_of(data));
-    assert_volume(&read("no-name", &fortran, "--iso 20"), false, solid);
+    for (flags, up) in [("", Up::Y), ("--up z", Up::Z), ("--up x", Up::X)] {
+        assert_volume(&read("no-name", &fortran, &format!("--iso 20 {flags}")), up, solid);
+    }
 }
 
 #[test]
@@ -262,7 +272,7 @@ fn npy_refuses_what_is_no_volume() {
     let good = npy_file("|u1", "False", "2, 3, 4", &[1; 24]);
     refuses_every_prefix("a.npy", &good, "");
     survives_changed_bytes("a.npy", &good, "");
-    assert!(error("a.npy", &npy_file("|u1", "False", "6, 4", &[1; 24]), "").contains("three axes"));
+    assert!(error("a.npy", &npy_file("|u1", "False", "24,", &[1; 24]), "").contains("three axes"));
     assert!(error("a.npy", &npy_file("<c8", "False", "1, 1, 3", &[1; 24]), "").contains("\"<c8\""));
     let e = error("a.npy", &npy_file("|u1", "True", "1048576, 1048576, 1048576", &[1; 24]), "");
     assert!(e.contains("expects 1152921504606846976"), "{e}");
@@ -276,20 +286,20 @@ fn nrrd_reads_raw_gzip_and_detached_values() {
     let data = bytes_of(values(|v| (v as i16).to_le_bytes()));
     let with = |header: &str, data: &[u8]| [header.as_bytes(), data].concat();
     let raw = with(&format!("{NRRD}encoding: raw\nkey:=value\n\n"), &data);
-    assert_volume(&read("a.nrrd", &raw, "--iso 20"), false, solid);
+    assert_volume(&read("a.nrrd", &raw, "--iso 20"), Up::Y, solid);
     let skipped = with(&format!("{NRRD}encoding: raw\nbyte skip: -1\n\nsomething else"), &data);
-    assert_volume(&read("a.nrrd", &skipped, "--iso 20"), false, solid);
+    assert_volume(&read("a.nrrd", &skipped, "--iso 20"), Up::Y, solid);
     let gz = with(&format!("{NRRD}encoding: gzip\n\n"), &gzip(&data));
-    assert_volume(&read("a.nrrd", &gz, "--iso 20 --up z"), true, solid);
+    assert_volume(&read("a.nrrd", &gz, "--iso 20 --up z"), Up::Z, solid);
     let big = with(
         &format!("{}encoding: raw\n\n", NRRD.replace("little", "big")),
         &bytes_of(values(|v| (v as i16).to_be_bytes())),
     );
-    assert_volume(&read("a.nrrd", &big, "--iso 20"), false, solid);
+    assert_volume(&read("a.nrrd", &big, "--iso 20"), Up::Y, solid);
 
     let header = file("a.nhdr", format!("{NRRD}encoding: raw\ndata file: a.raw\n").as_bytes());
     fs::write(header.0.path().join("a.raw"), &data).unwrap();
-    assert_volume(&open(&header.1, &opts("--iso 20")).unwrap(), false, solid);
+    assert_volume(&open(&header.1, &opts("--iso 20")).unwrap(), Up::Y, solid);
     fs::remove_file(header.0.path().join("a.raw")).unwrap();
     assert!(open(&header.1, &opts("--iso 20")).is_err_and(|e| e.to_string().contains("a.raw: cannot open")));
 }
@@ -332,10 +342,10 @@ fn nifti_file(dims: [u16; 3], datatype: i16, slope: [f32; 2], data: &[u8]) -> Ve
 fn nifti_applies_slope_and_intercept_to_the_iso_value() {
     let data = bytes_of(values(|v| (v as i16).to_le_bytes()));
     let plain = nifti_file([70, 5, 9], 4, [0.0, 0.0], &data);
-    assert_volume(&read("a.nii", &plain, "--iso 20"), false, |x, y, z| value(x, y, z) >= 20);
+    assert_volume(&read("a.nii", &plain, "--iso 20"), Up::Y, |x, y, z| value(x, y, z) >= 20);
     let scaled = nifti_file([70, 5, 9], 4, [-2.0, 10.0], &data);
     let solid = |x, y, z| 10 - 2 * value(x, y, z) >= 20;
-    assert_volume(&read("a.nii.gz", &gzip(&scaled), "--iso 20 --up z"), true, solid);
+    assert_volume(&read("a.nii.gz", &gzip(&scaled), "--iso 20 --up z"), Up::Z, solid);
     let e = error("a.nii", &scaled, "");
     let high = 10 - 2 * values(|v| v).into_iter().min().unwrap();
     assert!(e.contains(&format!("to {high};")), "{e}");
@@ -400,8 +410,10 @@ fn heightmap_colours_are_those_of_the_nearest_pixel() {
     let read_with = |image: image::GrayImage| {
         let f = file("h.png", &png(image));
         let o = ReadOptions { colors: Some(colors.1.clone()), ..ReadOptions::default() };
-        let Colors::Column(c) = open(&f.1, &o).unwrap().colors else { panic!("no colours") };
-        c.iter().map(|c: &Rgb| c[0]).collect::<Vec<_>>()
+        let map = open(&f.1, &o).unwrap();
+        let Colors::Function(color) = map.colors else { panic!("no colours") };
+        let [nx, _, nz] = map.columns.dims();
+        (0..nx * nz).map(|i| color(i % nx, 0, i / nx)[0]).collect::<Vec<_>>()
     };
     assert_eq!(read_with(image::GrayImage::new(4, 2)), [0, 10, 20, 30, 0, 10, 20, 30]);
     assert_eq!(read_with(image::GrayImage::new(2, 1)), [10, 30]);
@@ -850,6 +862,11 @@ fn fingerprint(c: &Columns) -> u64 {
     h.digest()
 }
 
+/// The columns of a scene, all of them.
+fn made(scene: Result<Box<dyn Pieces>>) -> Columns {
+    pieces::whole(&*scene.unwrap()).unwrap().columns
+}
+
 #[test]
 fn procedural_scenes_keep_their_promises_at_any_size() {
     for kind in Kind::value_variants() {
@@ -872,10 +889,10 @@ fn procedural_scenes_keep_their_promises_at_any_size() {
 fn procedural_scenes_depend_on_the_seed_and_nothing_else() {
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing, Kind::Shapes, Kind::Scan, Kind::Serpent, Kind::City] {
-        let a = procedural(kind, 64, 5).unwrap().columns;
-        assert_eq!(a, one_thread.install(|| procedural(kind, 64, 5)).unwrap().columns, "{kind:?}");
-        assert_ne!(a, procedural(kind, 64, 6).unwrap().columns, "{kind:?}");
-        assert_ne!(a, procedural(kind, 64, 5 + (1 << 32)).unwrap().columns, "{kind:?}: high half of the seed");
+        let a = made(procedural_pieces(kind, 64, 5));
+        assert_eq!(a, one_thread.install(|| made(procedural_pieces(kind, 64, 5))), "{kind:?}");
+        assert_ne!(a, made(procedural_pieces(kind, 64, 6)), "{kind:?}");
+        assert_ne!(a, made(procedural_pieces(kind, 64, 5 + (1 << 32))), "{kind:?}: high half of the seed");
     }
 }
 
@@ -884,7 +901,7 @@ fn procedural_scenes_tile() {
     // Across the seam neighbouring columns differ about as much as anywhere else; a scene shifted against itself
     // (the planted fault) differs far more.
     for kind in [Kind::Terrain, Kind::Rocks, Kind::Mixing] {
-        let c = procedural(kind, 128, 1).unwrap().columns;
+        let c = made(procedural_pieces(kind, 128, 1));
         let differ = |a: &[Run], b: &[Run]| {
             let column = |runs: &[Run]| {
                 (0..c.ny()).map(|y| runs.iter().any(|r| (r.first().into()..r.end()).contains(&y))).collect::<Vec<_>>()
@@ -901,7 +918,7 @@ fn procedural_scenes_tile() {
 
 #[test]
 fn procedural_landscapes_have_what_height_maps_cannot_hold() {
-    let c = procedural(Kind::Terrain, 256, 1).unwrap().columns;
+    let c = made(procedural_pieces(Kind::Terrain, 256, 1));
     let several = c.offsets().windows(2).filter(|w| w[1] - w[0] > 1).count();
     assert!(several * 10 > 256 * 256, "{several} columns of several runs");
     // Nothing falls out of the world.
@@ -911,10 +928,10 @@ fn procedural_landscapes_have_what_height_maps_cannot_hold() {
 #[test]
 fn menger_sponge_has_20_to_the_level_voxels_and_is_the_same_along_every_axis() {
     for level in 0..=4 {
-        let c = from_name(&format!("menger?level={level}")).unwrap().columns;
+        let c = made(from_name(&format!("menger?level={level}")));
         assert_eq!(c.voxels(), 20u64.pow(level));
     }
-    let c = from_name("menger?level=3").unwrap().columns;
+    let c = made(from_name("menger?level=3"));
     for (x, y, z) in (0..27 * 27 * 27).map(|i| (i % 27, i / 27 % 27, i / 729)) {
         let by_rule = (0..3).all(|p| [x, y, z].iter().filter(|&&v| v / 3i64.pow(p) % 3 == 1).count() < 2);
         assert_eq!(c.solid(x, y, z), by_rule, "({x}, {y}, {z})");
@@ -926,7 +943,7 @@ fn procedural_scenes_are_the_same_on_every_machine() {
     let prints =
         [("terrain?size=64&seed=1", TERRAIN), ("mixing?size=64&seed=1", MIXING), ("shapes?size=64&seed=1", SHAPES)];
     for (name, expected) in prints {
-        assert_eq!(fingerprint(&from_name(name).unwrap().columns), expected, "{name}");
+        assert_eq!(fingerprint(&made(from_name(name))), expected, "{name}");
     }
 }
 
@@ -947,4 +964,222 @@ fn procedural_names_are_checked() {
     assert!(e("menger?size=28").contains("power of 3"));
     let through_open = open(Path::new("procedural:menger?level=1"), &ReadOptions::default()).unwrap();
     assert_eq!(through_open.columns.voxels(), 20);
+}
+
+// Pieces.
+
+/// A volume whose values stay in its file gives the same columns as one in memory, whatever is asked of it at a time.
+#[test]
+fn pieces_of_a_volume_in_a_file_are_those_of_the_volume_in_memory() {
+    let [nx, ny, nz] = [130, 70, 65];
+    let voxel = |i: usize| {
+        u8::from(hash(3, (i % nx / 3) as u32, (i / nx % ny / 5) as u32, (i / nx / ny / 4) as u32) >> 31 == 0)
+    };
+    let bytes: Vec<u8> = (0..nx * ny * nz).map(voxel).collect();
+    let mut npy = npy_file("|u1", "True", "65, 70, 130", &[]);
+    npy.extend(&bytes);
+    let mut raw = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 130 70 65\nencoding: gzip\n\n".to_vec();
+    raw.extend(gzip(&bytes));
+    for (name, bytes, flags) in [("v.raw", &bytes, "--dims 130,70,65"), ("v.npy", &npy, ""), ("v.nrrd", &raw, "")] {
+        for up in ["x", "y", "z"] {
+            let flags = format!("{flags} --up {up}");
+            let in_memory = read(name, bytes, &flags).columns;
+            let file = file(name, bytes);
+            let pieces = open_pieces(&file.1, &opts(&flags)).unwrap();
+            let [nx, _, nz] = pieces.dims();
+            assert_eq!(pieces.dims(), in_memory.dims());
+            for (xs, zs) in [(0..nx, 0..nz), (0..1, 0..nz), (7..nx - 3, 5..6), (nx - 1..nx, nz - 9..nz), (3..64, 9..33)]
+            {
+                let piece = pieces.piece(xs.clone(), zs.clone()).unwrap().columns;
+                assert_eq!(piece, in_memory.crop(xs.clone(), zs.clone()), "{name} --up {up} {xs:?} {zs:?}");
+            }
+        }
+    }
+}
+
+/// The values that are solid, found by looking at the ends and between, are just those that compare so.
+#[test]
+fn iso_values_are_met_by_every_value_of_small_types() {
+    let all: Vec<u8> = (0..=255).collect();
+    let wide: Vec<u8> = (i16::MIN..=i16::MAX).flat_map(i16::to_le_bytes).collect();
+    for iso in [-40_000.0, -32_768.0, -200.5, -1.0, 0.0, 0.5, 1.0, 7.0, 127.5, 255.0, 255.5, 32_767.0, 1e9] {
+        let solid = |bytes: &[u8], flags: &str| read("v.raw", bytes, &format!("{flags} --iso {iso}")).columns.voxels();
+        let expected = (0..=255).filter(|&v| f64::from(v) >= iso).count() as u64;
+        assert_eq!(solid(&all, "--dims 4,1,64"), expected, "u8 {iso}");
+        let expected = (i16::MIN..=i16::MAX).filter(|&v| f64::from(v) >= iso).count() as u64;
+        assert_eq!(solid(&wide, "--dims 256,1,256 --dtype i16"), expected, "i16 {iso}");
+    }
+}
+
+// Meshes and points.
+
+/// A square from (0, 0, 0) to (8, 8, 0) with a triangle that stands on it, in three forms of PLY.
+fn ply(form: &str) -> Vec<u8> {
+    let vertices = [[0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [8.0, 8.0, 0.0], [0.0, 8.0, 0.0], [1.0, 1.0, 4.0]];
+    let faces: [&[i32]; 2] = [&[0, 1, 2, 3], &[0, 2, 4]];
+    let mut out = format!(
+        "ply\nformat {form} 1.0\ncomment made for a test\nelement vertex 5\nproperty float x\nproperty double y\n\
+         property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
+         property list uchar int vertex_indices\nend_header\n"
+    )
+    .into_bytes();
+    let big = form == "binary_big_endian";
+    let mut number = |text: String, little: &[u8]| match form {
+        "ascii" => out.extend(format!("{text} ").bytes()),
+        _ if big => out.extend(little.iter().rev()),
+        _ => out.extend(little),
+    };
+    for (i, [x, y, z]) in vertices.into_iter().enumerate() {
+        number(x.to_string(), &(x as f32).to_le_bytes());
+        number(y.to_string(), &f64::to_le_bytes(y));
+        number(z.to_string(), &(z as f32).to_le_bytes());
+        [10 * i as u8, 20, 255].iter().for_each(|c| number(c.to_string(), &[*c]));
+    }
+    for face in faces {
+        number(face.len().to_string(), &[face.len() as u8]);
+        face.iter().for_each(|i| number(i.to_string(), &i.to_le_bytes()));
+    }
+    out
+}
+
+#[test]
+fn ply_forms_give_the_same_mesh_and_damage_is_no_panic() {
+    let text = read("m", &ply("ascii"), "--size 16");
+    for form in ["binary_little_endian", "binary_big_endian"] {
+        let bytes = ply(form);
+        assert_eq!(read("m", &bytes, "--size 16").columns, text.columns, "{form}");
+        assert_eq!(read("m.ply.gz", &gzip(&bytes), "--size 16").columns, text.columns, "{form}");
+        refuses_every_prefix("m", &bytes, "--size 16");
+        survives_changed_bytes("m", &bytes, "--size 16");
+    }
+    let crlf = String::from_utf8(ply("ascii")).unwrap().replace('\n', "\r\n");
+    assert_eq!(read("m", crlf.as_bytes(), "--size 16").columns, text.columns);
+    let Colors::Voxel { entries, .. } = &text.colors else { panic!("no colours") };
+    assert!(entries.iter().all(|(_, [_, g, b])| (*g, *b) == (20, 255)), "colours of corners that agree are kept");
+}
+
+#[test]
+fn mesh_voxels_are_those_that_a_triangle_touches() {
+    // Against a triangle sampled far more finely than voxels: each sample's voxel is solid, and each solid voxel is near
+    // a sample.
+    let corners = [[0.0, 0.0, 0.0], [30.0, 11.0, 7.0], [4.0, 25.0, 19.0f64]];
+    let mut obj = corners.map(|[x, y, z]| format!("v {x} {y} {z}\n")).concat();
+    obj += "f 1 2 3\n";
+    let c = read("t.obj", obj.as_bytes(), "--size 30").columns;
+    assert_eq!(c.dims(), [30, 25, 19]);
+    let n = 600;
+    let mut touched = std::collections::HashSet::new();
+    for (i, j) in (0..=n).flat_map(|i| (0..=n - i).map(move |j| (i, j))) {
+        let (u, v) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
+        let p = [0, 1, 2].map(|a| u * corners[1][a] + v * corners[2][a]);
+        let at = [0, 1, 2].map(|a| (p[a] as u32).min(c.dims()[a] - 1));
+        let inside = (0..3).all(|a| (p[a] - p[a].round()).abs() > 1e-4);
+        assert!(!inside || c.find(at[0], at[1], at[2]).is_some(), "{p:?}");
+        touched.insert(at);
+    }
+    let solid = c.voxels();
+    assert!(solid >= touched.len() as u64 && solid < touched.len() as u64 * 11 / 10, "{solid} {}", touched.len());
+}
+
+#[test]
+fn mesh_formats_agree_and_pieces_are_cut_out_of_the_whole() {
+    let obj = "v 0 0 0\nv 40 0 3\nv 5 33 300\nv 39 30 299\nf 1 2 3\nf 2 3 4\n";
+    let whole = read("m.obj", obj.as_bytes(), "--size 300").columns;
+    let stl = "solid m\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 40 0 3\nvertex 5 33 300\nendloop\nendfacet\n\
+               facet normal 0 0 1\nouter loop\nvertex 40 0 3\nvertex 5 33 300\nvertex 39 30 299\nendloop\nendfacet\nendsolid m\n";
+    assert_eq!(read("m.stl", stl.as_bytes(), "--size 300").columns, whole);
+    let file = file("m.obj", obj.as_bytes());
+    let pieces = open_pieces(&file.1, &opts("--size 300")).unwrap();
+    for (xs, zs) in [(0..40, 0..300), (3..17, 31..65), (39..40, 299..300)] {
+        assert_eq!(pieces.piece(xs.clone(), zs.clone()).unwrap().columns, whole.crop(xs, zs));
+    }
+    assert!(error("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "").contains("no faces"));
+    assert!(error("m.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "").contains("finite"));
+}
+
+#[test]
+fn points_without_faces_are_a_voxel_each() {
+    let cloud = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                  end_header\n0 0 0\n2.5 1 0\n4 0 7.9\n";
+    let c = read("p.ply", cloud, "--voxel 1").columns;
+    assert_eq!((c.dims(), c.voxels()), ([5, 2, 8], 3));
+    assert!([(0, 0, 0), (2, 1, 0), (4, 0, 7)].iter().all(|&(x, y, z)| c.solid(x, y, z)));
+}
+
+#[test]
+fn las_points_stand_on_z_with_their_colours() {
+    let mut builder = las::Builder::from((1, 2));
+    builder.point_format = las::point::Format::new(2).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("p.las");
+    let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+    for (x, y, z, red) in [(0.0, 0.0, 0.0, 65_535), (3.0, 1.0, 9.0, 257)] {
+        let color = Some(las::Color::new(red, 0, 0));
+        writer.write_point(las::Point { x, y, z, color, ..Default::default() }).unwrap();
+    }
+    writer.close().unwrap();
+    let input = open(&path, &opts("--voxel 1")).unwrap();
+    assert_eq!((input.columns.dims(), input.columns.voxels()), ([4, 10, 2], 2));
+    // North (y up in the file) is away: world z is 1 − y.
+    assert!(input.columns.solid(0, 0, 1) && input.columns.solid(3, 9, 0));
+    let Colors::Voxel { entries, .. } = input.colors else { panic!("no colours") };
+    assert_eq!(entries, [(9, [1, 0, 0]), (0, [255, 0, 0])]);
+    fs::write(&path, b"LASF but no more").unwrap();
+    assert!(open(&path, &opts("")).err().unwrap().to_string().contains("LAS: "));
+}
+
+#[test]
+fn npy_of_two_axes_is_a_height_map() {
+    let data = bytes_of((0..6i16).map(|v| (v * 2).to_le_bytes()).collect());
+    let map = read("h.npy", &npy_file("<i2", "False", "2, 3", &data), "--height-scale 1");
+    assert_eq!(heights(&map), [0, 2, 4, 6, 8, 10].map(Some));
+    let turned = bytes_of([0, 3, 1, 4, 2, 5i16].map(|v| (v * 2).to_le_bytes()).to_vec());
+    let map = read("h.npy", &npy_file("<i2", "True", "2, 3", &turned), "--height-scale 1");
+    assert_eq!(heights(&map), [0, 2, 4, 6, 8, 10].map(Some));
+}
+
+#[test]
+fn tiff_folders_are_stacks_by_number_or_mosaics_by_place() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, value) in [("s2.tif", 5), ("s10.tif", 0), ("s1.tif", 7)] {
+        fs::write(dir.path().join(name), tiled_tiff(4, 3, &[value; 12], &[])).unwrap();
+    }
+    let stack = open(dir.path(), &opts("--iso 1")).unwrap().columns;
+    assert_eq!((stack.dims(), stack.voxels()), ([4, 3, 3], 24));
+    assert!(stack.solid(0, 0, 0) && stack.solid(3, 2, 1) && !stack.solid(0, 0, 2));
+    fs::write(dir.path().join("s3.tif"), tiled_tiff(5, 3, &[1; 15], &[])).unwrap();
+    assert!(open(dir.path(), &opts("--iso 1")).err().unwrap().to_string().contains("page 2 of the stack is"));
+
+    const DOUBLE: u16 = 12;
+    let doubles = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let dir = tempfile::tempdir().unwrap();
+    for (name, x, y, value) in [("a.tif", 100.0, 50.0, 3), ("b.tif", 110.0, 45.0, 8)] {
+        let geo = [(33_550, DOUBLE, doubles(&[2.5, 2.5, 0.0])), (33_922, DOUBLE, doubles(&[0.0, 0.0, 0.0, x, y, 0.0]))];
+        fs::write(dir.path().join(name), tiled_tiff(4, 2, &[value; 8], &geo)).unwrap();
+    }
+    let map = open(dir.path(), &opts("--height-scale 1")).unwrap();
+    assert_eq!([map.columns.nx(), map.columns.nz()], [8, 4]);
+    let expected: Vec<Option<u16>> = (0..32)
+        .map(|i| match (i % 8 / 4, i / 8 / 2) {
+            (0, 0) => Some(3),
+            (1, 1) => Some(8),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(heights(&map), expected);
+}
+
+#[test]
+fn nifti_pairs_are_read_from_both_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = nifti_file([70, 5, 9], 4, [0.0, 0.0], &bytes_of(values(|v| (v as i16).to_le_bytes())));
+    let mut header = whole[..348].to_vec();
+    header[344..348].copy_from_slice(b"ni1\0");
+    header[108..112].copy_from_slice(&0f32.to_le_bytes());
+    fs::write(dir.path().join("a.hdr"), header).unwrap();
+    assert!(
+        open(&dir.path().join("a.hdr"), &opts("--iso 20")).err().unwrap().to_string().contains("a.img: cannot open")
+    );
+    fs::write(dir.path().join("a.img"), &whole[352..]).unwrap();
+    assert_volume(&open(&dir.path().join("a.hdr"), &opts("--iso 20")).unwrap(), Up::Y, |x, y, z| value(x, y, z) >= 20);
 }

@@ -1,30 +1,128 @@
 //! Dense volumes: raw, NPY, NRRD, NIfTI.
 //!
-//! Each reader only finds out where the values are and what they are ([`Volume`]); [`build`] makes columns of them.
+//! Each reader only finds out where the values are and what they are ([`Stored`]); a [`Volume`] makes columns of them,
+//! a piece at a time. Its values stay in their file, and are read in stretches as long as the order of the axes allows:
+//!
+//! | up axis is the file's | read at once | columns are made |
+//! |---|---|---|
+//! | second (`--up y`) | a slice | row by row of the world, each from one slice |
+//! | third (`--up z`) | the piece's rows of a slice | slice by slice, in slabs that are joined |
+//! | first (`--up x`) | the piece's rows of a slice | each from one row |
 
-use std::io::Read;
-use std::path::Path;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 use flate2::read::MultiGzDecoder;
 use rayon::prelude::*;
 
-use super::{Dtype, ReadOptions, Up, concat_rows, guarded, map, world_dims};
-use crate::{Colors, Columns, Error, Input, Result, Run};
+use super::heights::Heights;
+use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
+use crate::pieces::Pieces;
+use crate::{Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
 
 /// Bytes of a NIfTI-1 header.
 pub(super) const NIFTI_HEADER: u64 = 348;
 
-/// A dense volume, x fastest, then y, then z.
-struct Volume<'a> {
-    /// Values an axis (x, y, z of the file).
+/// A dense volume as a file holds it.
+struct Stored<'a> {
+    /// Values an axis (x, y, z of the input).
     dims: [u64; 3],
+    /// Whether z is fastest in the file, not x.
+    z_fastest: bool,
     dtype: Dtype,
     big_endian: bool,
     /// What a stored value means: `value · slope + inter`.
     scale: Option<(f64, f64)>,
     /// Exactly the values.
-    bytes: &'a [u8],
+    data: Data<'a>,
     notes: Vec<String>,
+}
+
+/// Where values are.
+enum Data<'a> {
+    Slice(&'a [u8]),
+    /// From byte `at` on, `len` bytes.
+    File {
+        path: PathBuf,
+        file: File,
+        at: u64,
+        len: u64,
+    },
+}
+
+impl Data<'_> {
+    fn len(&self) -> u64 {
+        match self {
+            Data::Slice(bytes) => bytes.len() as u64,
+            Data::File { len, .. } => *len,
+        }
+    }
+
+    /// The `len` bytes from `at` on, in `buffer` unless they are in memory already.
+    fn read<'b>(&'b self, at: u64, len: usize, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
+        match self {
+            Data::Slice(bytes) => Ok(&bytes[at as usize..at as usize + len]),
+            Data::File { path, file, at: start, .. } => {
+                buffer.resize(len, 0);
+                read_at(file, buffer, start + at).map_err(|e| Error::io(path, "read", e))?;
+                Ok(buffer)
+            }
+        }
+    }
+
+    /// The same values, still in the file at `path` where they are a part of its bytes `whole`.
+    fn in_file(self, path: &Path, whole: &[u8]) -> Result<Data<'static>> {
+        match self {
+            Data::Slice(bytes) => {
+                let at = (bytes.as_ptr() as usize - whole.as_ptr() as usize) as u64;
+                let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+                Ok(Data::File { path: path.to_owned(), file, at, len: bytes.len() as u64 })
+            }
+            Data::File { path, file, at, len } => Ok(Data::File { path, file, at, len }),
+        }
+    }
+}
+
+/// Fills `buffer` with the bytes of `file` from `at` on.
+pub(crate) fn read_at(file: &File, buffer: &mut [u8], at: u64) -> std::io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::read_exact_at(file, buffer, at);
+    #[cfg(windows)]
+    {
+        let (mut buffer, mut at) = (buffer, at);
+        while !buffer.is_empty() {
+            let n = std::os::windows::fs::FileExt::seek_read(file, buffer, at)?;
+            if n == 0 {
+                return Err(std::io::ErrorKind::UnexpectedEof.into());
+            }
+            (buffer, at) = (&mut buffer[n..], at + n as u64);
+        }
+        Ok(())
+    }
+}
+
+/// `$body` with `$read` the function from bytes to a value of the volume's type.
+macro_rules! with_sample {
+    ($dtype:expr, $big:expr, |$read:ident| $body:expr) => {
+        with_sample!(@ $dtype, $big, |$read| $body; U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64,
+            I64 i64, F32 f32, F64 f64)
+    };
+    (@ $dtype:expr, $big:expr, |$read:ident| $body:expr; $($variant:ident $t:ident),*) => {
+        match ($dtype, $big) {
+            $(
+                (Dtype::$variant, false) => {
+                    let $read = $t::from_le_bytes;
+                    $body
+                }
+                (Dtype::$variant, true) => {
+                    let $read = $t::from_be_bytes;
+                    $body
+                }
+            )*
+        }
+    };
 }
 
 /// Bytes of a volume's values.
@@ -37,7 +135,7 @@ fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
 }
 
 /// `--dims`, `--dtype`: values without a header.
-pub(super) fn raw(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
     let dims = opts.dims.ok_or_else(|| {
         Error::Argument(format!("{}: a raw volume needs --dims X,Y,Z (and --dtype, unless u8)", path.display()))
     })?;
@@ -54,11 +152,43 @@ pub(super) fn raw(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input
             ),
         ));
     }
-    build(path, Volume { dims, dtype, big_endian: false, scale: None, bytes, notes: Vec::new() }, opts)
+    let data = Data::Slice(bytes);
+    let stored = Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes: Vec::new() };
+    Volume::new(path, stored, opts)
 }
 
 /// NumPy: an array of shape (z, y, x).
-pub(super) fn npy(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
+    Volume::new(path, npy_array(path, bytes)?.1, opts)
+}
+
+/// A NumPy array of two axes as heights, shape (row, column); None where it has three.
+pub(super) fn npy_heights(path: &Path, bytes: &[u8]) -> Result<Option<Heights>> {
+    let (2, stored) = npy_array(path, bytes)? else { return Ok(None) };
+    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data: Data::Slice(data), .. } = stored else {
+        unreachable!("an array that was not unpacked is a slice")
+    };
+    world_dims(path, [width, 1, height], "")?;
+    let mut out = Heights::new(width as u32, height as u32)?;
+    let n = width as usize;
+    with_sample!(dtype, big_endian, |read| {
+        let size = dtype.size() as usize;
+        let value = |x: usize, z: usize| {
+            let at = size * if z_fastest { x * height as usize + z } else { z * n + x };
+            read(data[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
+        };
+        // Some rows at a time, so that a large map is not in memory twice.
+        for z in (0..height as usize).step_by(64) {
+            let end = (z + 64).min(height as usize);
+            let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
+            out.put(0, z as u32, width as u32, &rows)?;
+        }
+    });
+    Ok(Some(out))
+}
+
+/// Number of axes, and the values, with one z where there are two.
+fn npy_array<'a>(path: &Path, bytes: &'a [u8]) -> Result<(usize, Stored<'a>)> {
     let fail = |at: usize, what: &str| Err(Error::format(path, format!("byte {at}: {what}")));
     if !bytes.starts_with(b"\x93NUMPY") {
         return fail(0, "expected the NPY signature \\x93NUMPY");
@@ -99,8 +229,10 @@ pub(super) fn npy(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input
     };
     let shape: Result<Vec<u64>, _> =
         shape.split(',').map(str::trim).filter(|s| !s.is_empty()).map(str::parse).collect();
-    let Ok(&[z, y, x]) = shape.as_deref() else {
-        return fail(text_at, "expected an array of three axes, shape (z, y, x)");
+    let (rank, [z, y, x]) = match shape.as_deref() {
+        Ok(&[y, x]) => (2, [1, y, x]),
+        Ok(&[z, y, x]) => (3, [z, y, x]),
+        _ => return fail(text_at, "expected an array of three axes, shape (z, y, x), or two, a height map"),
     };
     let dims = [x, y, z];
     let expected = byte_len(path, dims, dtype)?;
@@ -108,38 +240,19 @@ pub(super) fn npy(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input
     if data.len() as u64 != expected {
         return fail(data_at, &format!("{} bytes of values, shape ({z}, {y}, {x}) expects {expected}", data.len()));
     }
-    let transposed;
-    let data = if order.starts_with("True") {
-        transposed = transpose(data, dims, dtype.size() as usize);
-        &transposed
+    let z_fastest = if order.starts_with("True") {
+        true
     } else if order.starts_with("False") {
-        data
+        false
     } else {
         return fail(text_at, "fortran_order is neither True nor False");
     };
-    let big_endian = descr.starts_with('>');
-    build(path, Volume { dims, dtype, big_endian, scale: None, bytes: data, notes: Vec::new() }, opts)
-}
-
-/// Values stored z fastest, then y, then x, put into x fastest, then y, then z.
-fn transpose(data: &[u8], dims: [u64; 3], size: usize) -> Vec<u8> {
-    let [nx, ny, nz] = dims.map(|d| d as usize);
-    let mut out = vec![0; data.len()];
-    if out.is_empty() {
-        return out;
-    }
-    out.par_chunks_mut(nx * ny * size).enumerate().for_each(|(z, slice)| {
-        for (i, value) in slice.chunks_exact_mut(size).enumerate() {
-            let (x, y) = (i % nx, i / nx);
-            let from = ((x * ny + y) * nz + z) * size;
-            value.copy_from_slice(&data[from..from + size]);
-        }
-    });
-    out
+    let (big_endian, data) = (descr.starts_with('>'), Data::Slice(data));
+    Ok((rank, Stored { dims, z_fastest, dtype, big_endian, scale: None, data, notes: Vec::new() }))
 }
 
 /// NRRD: text header, values raw or gzip, in the same file or a detached one.
-pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+pub(super) fn nrrd<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
     let fail = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
     if !bytes.starts_with(b"NRRD000") {
         return fail(0, "expected the NRRD signature NRRD000".to_owned());
@@ -188,13 +301,10 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
         return Err(missing("endian"));
     }
 
-    let detached;
-    let (data_path, mut data) = match &header.data_file {
-        Some(name) => {
-            let data_path = path.parent().unwrap_or(Path::new("")).join(name);
-            detached = map(&data_path)?;
-            (data_path, &*detached)
-        }
+    let detached = header.data_file.as_ref().map(|name| path.parent().unwrap_or(Path::new("")).join(name));
+    let detached = detached.map(|path| Ok((map(&path)?, path))).transpose()?;
+    let (data_path, mut data) = match &detached {
+        Some((bytes, path)) => (path.clone(), &**bytes),
         None => (path.to_owned(), &bytes[header_end..]),
     };
     for _ in 0..header.line_skip {
@@ -206,7 +316,6 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
     let short = |got: usize| {
         Error::format(&data_path, format!("{got} bytes of values; {x} × {y} × {z} of this type expect {expected}"))
     };
-    let inflated;
     let values = match encoding.as_str() {
         "raw" => {
             let skip = match header.byte_skip {
@@ -215,13 +324,17 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
             };
             let end =
                 skip.checked_add(expected).filter(|&e| e <= data.len() as u64).ok_or_else(|| short(data.len()))?;
-            &data[skip as usize..end as usize]
+            let values = &data[skip as usize..end as usize];
+            match &detached {
+                Some((whole, path)) => Data::Slice(values).in_file(path, whole)?,
+                // The same bytes, as a part of `bytes`, which live longer.
+                None => Data::Slice(&bytes[bytes.len() - data.len()..][skip as usize..end as usize]),
+            }
         }
         "gzip" | "gz" => {
             let skip = header.byte_skip.max(0) as u64;
             let end = skip.checked_add(expected).ok_or_else(|| short(0))?;
-            inflated = gunzip(&data_path, data, end)?;
-            inflated.get(skip as usize..).filter(|v| v.len() as u64 == expected).ok_or_else(|| short(inflated.len()))?
+            gunzip(&data_path, data, skip, end)?.map_err(|got| short(got as usize))?
         }
         other => {
             return fail(0, format!("encoding {other:?} is not supported; save it as raw or gzip (unu save -e gzip)"));
@@ -233,7 +346,8 @@ pub(super) fn nrrd(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inpu
             .to_owned(),
     );
     let big_endian = header.big_endian == Some(true);
-    build(path, Volume { dims, dtype, big_endian, scale: None, bytes: values, notes }, opts)
+    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data: values, notes };
+    Volume::new(path, stored, opts)
 }
 
 #[derive(Default)]
@@ -314,18 +428,15 @@ impl NrrdHeader {
 }
 
 /// NIfTI-1, plain or gzip; of a series the first volume.
-pub(super) fn nifti(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
+pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
     let fail = |what: String| Err(Error::format(path, what));
     let gz = bytes.starts_with(b"\x1f\x8b");
     let head = if gz { gunzip_prefix(path, bytes, NIFTI_HEADER)? } else { bytes[..bytes.len().min(348)].to_vec() };
     let header = guarded(path, "NIfTI", || {
         nifti::NiftiHeader::from_reader(&*head).map_err(|e| Error::format(path, format!("NIfTI header: {e}")))
     })?;
-    if &header.magic != nifti::header::MAGIC_CODE_NIP1 {
-        return fail(
-            "byte 344: the header's values are in a second file (.hdr/.img); convert it to one .nii".to_owned(),
-        );
-    }
+    // "ni1": the values are in a file beside the header's.
+    let pair = (&header.magic != nifti::header::MAGIC_CODE_NIP1).then(|| path.with_extension("img"));
     let rank = header.dim[0] as usize;
     if !(1..=7).contains(&rank) {
         return fail(format!("byte 40: {rank} axes; expected 1 to 7"));
@@ -348,22 +459,25 @@ pub(super) fn nifti(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inp
         64 => Dtype::F64,
         other => return fail(format!("byte 70: values of NIfTI type {other}; expected integers, f32 or f64")),
     };
-    if !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) {
+    if !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) && !(pair.is_some() && header.vox_offset == 0.0) {
         return fail(format!("byte 108: values start at byte {}; expected 352 or later", header.vox_offset));
     }
     let start = header.vox_offset as u64;
     let expected = byte_len(path, dims, dtype)?;
     let end = start + expected;
-    let inflated;
-    let whole: &[u8] = if gz {
-        inflated = gunzip(path, bytes, end)?;
-        &inflated
-    } else {
-        bytes
-    };
-    let Some(values) = whole.get(start as usize..).and_then(|v| v.get(..expected as usize)) else {
+    let short = |got: u64| {
         let [x, y, z] = dims;
-        return fail(format!("{} bytes; {x} × {y} × {z} values from byte {start} on expect {end}", whole.len()));
+        Error::format(path, format!("{got} bytes; {x} × {y} × {z} values from byte {start} on expect {end}"))
+    };
+    let data = if let Some(pair) = &pair {
+        let whole = map(pair)?;
+        let values = whole.get(start as usize..).and_then(|v| v.get(..expected as usize));
+        Data::Slice(values.ok_or_else(|| short(whole.len() as u64))?).in_file(pair, &whole)?
+    } else if gz {
+        gunzip(path, bytes, start, end)?.map_err(short)?
+    } else {
+        let values = bytes.get(start as usize..).and_then(|v| v.get(..expected as usize));
+        Data::Slice(values.ok_or_else(|| short(bytes.len() as u64))?)
     };
     let mut notes = Vec::new();
     let volumes = (4..=rank).map(axis).fold(1u64, u64::saturating_mul);
@@ -382,7 +496,8 @@ pub(super) fn nifti(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Inp
     }
     notes.push("NIfTI axes are kept as stored (--up z to stand on the third, usually towards the head)".to_owned());
     let big_endian = header.endianness == nifti::Endianness::Big;
-    build(path, Volume { dims, dtype, big_endian, scale, bytes: values, notes }, opts)
+    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes };
+    Volume::new(path, stored, opts)
 }
 
 /// The first `len` bytes of a gzip stream.
@@ -396,201 +511,482 @@ fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The first `len` bytes of a gzip stream, whose end and checksum are looked at where it holds no more than these.
-fn gunzip(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
-    let mut out = gunzip_prefix(path, bytes, len.saturating_add(1))?;
-    out.truncate(usize::try_from(len).unwrap_or(usize::MAX));
-    Ok(out)
-}
-
-/// Which values are solid.
-#[derive(Clone, Copy)]
-enum Solid {
-    /// Stored value above 0.
-    Positive,
-    AtLeast {
-        iso: f64,
-        scale: Option<(f64, f64)>,
-    },
-}
-
-/// `$body` with `$read` the function from bytes to a value of the volume's type.
-macro_rules! with_sample {
-    ($dtype:expr, $big:expr, |$read:ident| $body:expr) => {
-        with_sample!(@ $dtype, $big, |$read| $body; U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64,
-            I64 i64, F32 f32, F64 f64)
-    };
-    (@ $dtype:expr, $big:expr, |$read:ident| $body:expr; $($variant:ident $t:ident),*) => {
-        match ($dtype, $big) {
-            $(
-                (Dtype::$variant, false) => {
-                    let $read = &|bytes: [u8; size_of::<$t>()]| $t::from_le_bytes(bytes);
-                    $body
-                }
-                (Dtype::$variant, true) => {
-                    let $read = &|bytes: [u8; size_of::<$t>()]| $t::from_be_bytes(bytes);
-                    $body
-                }
-            )*
-        }
-    };
+/// Bytes `start..end` of a gzip stream, unpacked into a file without a name; an inner error is the number of bytes that
+/// there are, too few. The stream's end and checksum are looked at where it holds no more than these.
+fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
+    let mut file = tempfile::tempfile().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
+    let mut stream = MultiGzDecoder::new(bytes).take(end.saturating_add(1));
+    let mut buffer = vec![0; 1 << 20];
+    let mut n = 0u64;
+    loop {
+        let got = match stream.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(got) => got,
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => continue,
+            Err(e) => return Err(Error::format(path, format!("gzip stream, after {n} bytes: {e}"))),
+        };
+        file.write_all(&buffer[..got]).map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e))?;
+        n += got as u64;
+    }
+    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(std::env::temp_dir(), "read a file in", e))?;
+    if n < end {
+        return Ok(Err(n));
+    }
+    Ok(Ok(Data::File { path: path.to_owned(), file, at: start, len: end - start }))
 }
 
 /// A stored value, as far as comparing goes.
-trait Sample: Copy {
+trait Sample: Copy + PartialOrd {
     fn to_f64(self) -> f64;
-    /// `iso` in the precision of the values: 0.7 means the f32 nearest to 0.7 in a volume of f32.
-    fn threshold(iso: f64) -> f64 {
-        iso
-    }
+
+    /// The least and the greatest value that mean at least `iso`, where those between do, too; an inner None where no
+    /// value does.
+    fn solid_between(iso: f64, scale: Option<(f64, f64)>) -> Option<Option<(Self, Self)>>;
 }
 
-macro_rules! samples {
-    ($($t:ident),*) => { $(impl Sample for $t { fn to_f64(self) -> f64 { self as f64 } })* };
-}
-samples!(u8, i8, u16, i16, u32, i32, u64, i64, f64);
-
-impl Sample for f32 {
-    fn to_f64(self) -> f64 {
-        f64::from(self)
-    }
-    fn threshold(iso: f64) -> f64 {
-        f64::from(iso as f32)
-    }
+fn meaning(v: f64, scale: Option<(f64, f64)>) -> f64 {
+    scale.map_or(v, |(slope, inter)| v * slope + inter)
 }
 
-/// Columns of a volume: where a value is solid, and which axis is up, from the options.
-fn build(path: &Path, volume: Volume, opts: &ReadOptions) -> Result<Input> {
-    let up = opts.up.unwrap_or_default();
-    let [x, y, z] = volume.dims;
-    let dims = match up {
-        Up::Y => [x, y, z],
-        Up::Z => [x, z, y],
-    };
-    let dims = world_dims(path, dims, "--up chooses another axis")?;
-    let solid = match opts.iso {
-        Some(iso) if iso.is_nan() => return Err(Error::Argument("--iso is not a number".to_owned())),
-        Some(iso) => Solid::AtLeast { iso, scale: volume.scale },
-        None if volume.dtype == Dtype::U8 => Solid::Positive,
-        None => {
-            let (low, high) = with_sample!(volume.dtype, volume.big_endian, |read| range(&volume, read));
-            return Err(Error::Argument(format!(
-                "{}: values range from {low} to {high}; give --iso V, voxels of at least V are solid",
-                path.display()
-            )));
-        }
-    };
-    let columns = with_sample!(volume.dtype, volume.big_endian, |read| {
-        let scan = Scan { volume: &volume, dims, up };
-        match solid {
-            Solid::Positive => scan.columns(read, &|v| v.to_f64() > 0.0),
-            Solid::AtLeast { iso, scale: None } => {
-                let iso = threshold_of(read, iso);
-                scan.columns(read, &move |v| v.to_f64() >= iso)
+macro_rules! integer_samples {
+    ($($t:ident),*) => { $(
+        impl Sample for $t {
+            fn to_f64(self) -> f64 {
+                self as f64
             }
-            Solid::AtLeast { iso, scale: Some((slope, inter)) } => {
-                scan.columns(read, &move |v| v.to_f64() * slope + inter >= iso)
+
+            fn solid_between(iso: f64, scale: Option<(f64, f64)>) -> Option<Option<($t, $t)>> {
+                let solid = |v: $t| meaning(v.to_f64(), scale) >= iso;
+                // What a value means grows with it, or falls: a search for where it passes `iso`.
+                let (mut no, mut yes) = match (solid($t::MIN), solid($t::MAX)) {
+                    (true, true) => return Some(Some(($t::MIN, $t::MAX))),
+                    (false, false) => return Some(None),
+                    (false, true) => (i128::from($t::MIN), i128::from($t::MAX)),
+                    (true, false) => (i128::from($t::MAX), i128::from($t::MIN)),
+                };
+                while (yes - no).abs() > 1 {
+                    let mid = no + (yes - no) / 2;
+                    *(if solid(mid as $t) { &mut yes } else { &mut no }) = mid;
+                }
+                Some(Some(if yes > no { (yes as $t, $t::MAX) } else { ($t::MIN, yes as $t) }))
             }
         }
-    })?;
-    Ok(Input { columns, colors: Colors::None, notes: volume.notes })
+    )* };
+}
+integer_samples!(u8, i8, u16, i16, u32, i32, u64, i64);
+
+macro_rules! float_samples {
+    ($($t:ident),*) => { $(
+        impl Sample for $t {
+            fn to_f64(self) -> f64 {
+                f64::from(self)
+            }
+
+            /// `iso` in the precision of the values: 0.7 means the f32 nearest to 0.7 in a volume of f32.
+            fn solid_between(iso: f64, scale: Option<(f64, f64)>) -> Option<Option<($t, $t)>> {
+                scale.is_none().then_some(Some((iso as $t, $t::INFINITY)))
+            }
+        }
+    )* };
+}
+float_samples!(f32, f64);
+
+/// Writes all of `bytes` to `file` from `at` on.
+pub(crate) fn write_at(file: &File, bytes: &[u8], at: u64) -> std::io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::write_all_at(file, bytes, at);
+    #[cfg(windows)]
+    {
+        let (mut bytes, mut at) = (bytes, at);
+        while !bytes.is_empty() {
+            let n = std::os::windows::fs::FileExt::seek_write(file, bytes, at)?;
+            (bytes, at) = (&bytes[n..], at + n as u64);
+        }
+        Ok(())
+    }
 }
 
-fn threshold_of<T: Sample, const N: usize>(_: &impl Fn([u8; N]) -> T, iso: f64) -> f64 {
-    T::threshold(iso)
+/// Turns a row of stored values into bits, 1 where solid: bit `i % 64` of word `i / 64`.
+type Masks = Box<dyn Fn(&[u8], &mut [u64]) + Send + Sync>;
+
+/// A volume whose columns can be made.
+pub(super) struct Volume<'a> {
+    /// Values along the file's axes, fastest first.
+    stored: [u64; 3],
+    size: u64,
+    data: Data<'a>,
+    masks: Masks,
+    dims: [u32; 3],
+    /// The file's axis of world x, y, z.
+    axes: [usize; 3],
+    /// Whether world z runs against its axis.
+    flip_z: bool,
+    pub(super) notes: Vec<String>,
+}
+
+impl<'a> Volume<'a> {
+    /// Which axis is up, and where a value is solid, from the options.
+    fn new(path: &Path, stored: Stored<'a>, opts: &ReadOptions) -> Result<Volume<'a>> {
+        // World x, y, z as axes of the input.
+        let (axes, flip_z) = match opts.up.unwrap_or_default() {
+            Up::X => ([2, 0, 1], false),
+            Up::Y => ([0, 1, 2], false),
+            Up::Z => ([0, 2, 1], true),
+        };
+        let dims = world_dims(path, axes.map(|a| stored.dims[a]), "--up chooses another axis")?;
+        let Stored { dtype, big_endian, scale, .. } = stored;
+        let masks = match opts.iso {
+            Some(iso) if iso.is_nan() => return Err(Error::Argument("--iso is not a number".to_owned())),
+            Some(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale)),
+            None if dtype == Dtype::U8 => masks(u8::from_le_bytes, |v| v > 0),
+            None => {
+                let (low, high) = with_sample!(dtype, big_endian, |read| range(&stored, read))?;
+                return Err(Error::Argument(format!(
+                    "{}: values range from {low} to {high}; give --iso V, voxels of at least V are solid",
+                    path.display()
+                )));
+            }
+        };
+        let Stored { dims: [x, y, z], z_fastest, data, notes, .. } = stored;
+        let (stored, axes) = if z_fastest { ([z, y, x], axes.map(|a| 2 - a)) } else { ([x, y, z], axes) };
+        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes })
+    }
+
+    /// Of values that were unpacked into a file, in this machine's byte order.
+    pub(super) fn unpacked(
+        path: &Path,
+        file: File,
+        dims: [u64; 3],
+        dtype: Dtype,
+        opts: &ReadOptions,
+    ) -> Result<Volume<'static>> {
+        let data = Data::File { path: path.to_owned(), file, at: 0, len: byte_len(path, dims, dtype)? };
+        let notes = Vec::new();
+        Volume::new(path, Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes }, opts)
+    }
+
+    /// The same volume, its values read from the file at `path`, which holds `whole`.
+    pub(super) fn in_file(self, path: &Path, whole: &[u8]) -> Result<Volume<'static>> {
+        let Volume { stored, size, data, masks, dims, axes, flip_z, notes } = self;
+        let data = data.in_file(path, whole)?;
+        Ok(Volume { stored, size, data, masks, dims, axes, flip_z, notes })
+    }
+
+    /// Values `us` of row `v` of slice `w`, in the file's order.
+    fn row<'b>(&'b self, us: Range<u64>, v: u64, w: u64, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
+        let [nu, nv, _] = self.stored;
+        let at = ((w * nv + v) * nu + us.start) * self.size;
+        self.data.read(at, ((us.end - us.start) * self.size) as usize, buffer)
+    }
+
+    /// Calls `each` with values `us` of the rows `vs` of slice `w`, in stretches that fit a core's cache.
+    fn rows(
+        &self,
+        us: Range<u64>,
+        vs: Range<u64>,
+        w: u64,
+        buffer: &mut Vec<u8>,
+        mut each: impl FnMut(u64, &[u8]),
+    ) -> Result<()> {
+        let n = us.end - us.start;
+        let whole = n == self.stored[0];
+        let together = if whole { (STRETCH / (n * self.size)).max(1) } else { 1 };
+        let mut v = vs.start;
+        while v < vs.end {
+            let end = vs.end.min(v + together);
+            // Whole rows follow each other in the file.
+            let bytes = self.row(us.start..us.start + n * (end - v), v, w, buffer)?;
+            for (i, row) in bytes.chunks_exact((n * self.size) as usize).enumerate() {
+                each(v + i as u64, row);
+            }
+            v = end;
+        }
+        Ok(())
+    }
+
+    /// Columns `us × vs`, axes of the file other than the up axis, the faster first.
+    fn scan(&self, us: Range<u64>, vs: Range<u64>) -> Result<Columns> {
+        let ny = self.dims[1];
+        let (nu, nv) = ((us.end - us.start) as u32, (vs.end - vs.start) as u32);
+        let words = nu.div_ceil(64) as usize;
+        match self.axes[1] {
+            // A row is a column.
+            0 => {
+                let parts: Vec<Columns> = vs
+                    .into_par_iter()
+                    .map(|w| {
+                        let mut out = ColumnsBuilder::new(nu, ny, 1);
+                        let mut bits = vec![0u64; (ny as usize).div_ceil(64)];
+                        let mut buffer = Vec::new();
+                        self.rows(0..self.stored[0], us.clone(), w, &mut buffer, |_, row| {
+                            (self.masks)(row, &mut bits);
+                            push_bits(&bits, ny, &mut out);
+                            out.end_column();
+                        })?;
+                        Ok(out.finish())
+                    })
+                    .collect::<Result<_>>()?;
+                Columns::concat([nu, ny, nv], &parts)
+            }
+            // A slice is a row of columns.
+            1 => {
+                let parts: Vec<Columns> = vs
+                    .into_par_iter()
+                    .map(|w| {
+                        let mut layers = Layers::new(nu, 1);
+                        let mut bits = vec![0u64; words];
+                        let mut buffer = Vec::new();
+                        self.rows(us.clone(), 0..u64::from(ny), w, &mut buffer, |y, row| {
+                            (self.masks)(row, &mut bits);
+                            layers.row(y as u32, 0, &bits);
+                        })?;
+                        Ok(layers.finish(ny, ny))
+                    })
+                    .collect::<Result<_>>()?;
+                Columns::concat([nu, ny, nv], &parts)
+            }
+            // A slice is a layer of all columns.
+            _ => {
+                let slabs = (rayon::current_num_threads() as u32 * 2).min(ny.div_ceil(32));
+                let cut = |slab: u32| (u64::from(slab) * u64::from(ny) / u64::from(slabs)) as u32;
+                let slabs: Vec<Columns> = (0..slabs)
+                    .into_par_iter()
+                    .map(|slab| {
+                        let mut layers = Layers::new(nu, nv);
+                        let mut bits = vec![0u64; words];
+                        let mut buffer = Vec::new();
+                        for y in cut(slab)..cut(slab + 1) {
+                            self.rows(us.clone(), vs.clone(), y.into(), &mut buffer, |v, row| {
+                                (self.masks)(row, &mut bits);
+                                layers.row(y, (v - vs.start) as u32, &bits);
+                            })?;
+                        }
+                        Ok(layers.finish(cut(slab + 1), ny))
+                    })
+                    .collect::<Result<_>>()?;
+                Columns::try_from_rows([nu, ny, nv], |v, out| {
+                    for u in 0..nu {
+                        // A run that goes on in the next slab touches it, and is merged.
+                        slabs.iter().flat_map(|slab| slab.column(u, v)).for_each(|&run| out.push_run(run));
+                        out.end_column();
+                    }
+                    Ok(())
+                })
+            }
+        }
+    }
+}
+
+/// Bytes read at once: what a core's cache holds.
+const STRETCH: u64 = 256 << 10;
+
+impl Pieces for Volume<'_> {
+    fn dims(&self) -> [u32; 3] {
+        self.dims
+    }
+
+    fn colored(&self) -> bool {
+        false
+    }
+
+    fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
+        let range = |r: &Range<u32>| u64::from(r.start)..u64::from(r.end);
+        let nz = self.dims[2];
+        let file_zs = if self.flip_z { nz - zs.end..nz - zs.start } else { zs.clone() };
+        let x_is_faster = self.axes[0] < self.axes[2];
+        let columns =
+            if x_is_faster { self.scan(range(&xs), range(&file_zs)) } else { self.scan(range(&file_zs), range(&xs)) }?;
+        let columns = if x_is_faster && !self.flip_z {
+            columns
+        } else {
+            Columns::try_from_rows([xs.len() as u32, self.dims[1], zs.len() as u32], |z, out| {
+                let z = if self.flip_z { zs.len() as u32 - 1 - z } else { z };
+                for x in 0..xs.len() as u32 {
+                    let column = if x_is_faster { columns.column(x, z) } else { columns.column(z, x) };
+                    column.iter().for_each(|&run| out.push_run(run));
+                    out.end_column();
+                }
+                Ok(())
+            })?
+        };
+        Ok(Input { columns, colors: Colors::None, notes: Vec::new() })
+    }
+
+    fn input_bytes(&self) -> u64 {
+        self.data.len()
+    }
+
+    /// Where a slice is a layer, rows enough that a stretch of them is worth going to.
+    fn rows_together(&self) -> u32 {
+        match self.axes[1] {
+            1 => 1,
+            _ => (LONG_STRETCH / (self.stored[0] * self.size)).clamp(1, 1 << 16) as u32,
+        }
+    }
+}
+
+/// Bytes after which going elsewhere in a file costs little beside reading them, on a disk that turns, too.
+const LONG_STRETCH: u64 = 4 << 20;
+
+/// [`Masks`] of values for which `solid` holds.
+fn masks<T: Copy + 'static, const N: usize>(
+    read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
+    solid: impl Fn(T) -> bool + Send + Sync + 'static,
+) -> Masks {
+    Box::new(move |bytes, out| {
+        let (values, _) = bytes.as_chunks::<N>();
+        let (words, rest) = values.as_chunks::<64>();
+        for (out, values) in out.iter_mut().zip(words) {
+            // One byte a value first: compilers know how to do that for many at once.
+            let mut flags = [0; 64];
+            for (flag, &value) in flags.iter_mut().zip(values) {
+                *flag = u8::from(solid(read(value)));
+            }
+            *out = pack(&flags);
+        }
+        if !rest.is_empty() {
+            let mut flags = [0; 64];
+            for (flag, &value) in flags.iter_mut().zip(rest) {
+                *flag = u8::from(solid(read(value)));
+            }
+            out[words.len()] = pack(&flags);
+        }
+    })
+}
+
+/// Bytes of 0 and 1 as bits, eight by one multiplication: bit `8·i` times `2^(56 − 7·i)` is bit `56 + i`, and no two
+/// products meet.
+fn pack(flags: &[u8; 64]) -> u64 {
+    let eights = flags.as_chunks::<8>().0.iter().enumerate();
+    eights.fold(0, |bits, (i, &eight)| {
+        bits | (u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * i)
+    })
+}
+
+/// [`Masks`] of values that mean at least `iso`.
+fn iso_masks<T: Sample + Send + Sync + 'static, const N: usize>(
+    read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
+    iso: f64,
+    scale: Option<(f64, f64)>,
+) -> Masks {
+    match T::solid_between(iso, scale) {
+        Some(Some((low, high))) => masks(read, move |v| low <= v && v <= high),
+        Some(None) => masks(read, |_| false),
+        None => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+    }
 }
 
 /// Least and greatest value (NaN left out).
-fn range<T: Sample, const N: usize>(volume: &Volume, read: &(impl Fn([u8; N]) -> T + Sync)) -> (f64, f64) {
-    let (slope, inter) = volume.scale.unwrap_or((1.0, 0.0));
-    let (a, b) = volume
-        .bytes
-        .par_chunks(N << 16)
-        .map(|chunk| {
-            let (values, _) = chunk.as_chunks::<N>();
-            values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &v| {
+fn range<T: Sample, const N: usize>(stored: &Stored, read: impl Fn([u8; N]) -> T + Sync) -> Result<(f64, f64)> {
+    const NONE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+    let piece = (N as u64) << 16;
+    let len = stored.data.len();
+    let (slope, inter) = stored.scale.unwrap_or((1.0, 0.0));
+    let (a, b) = (0..len.div_ceil(piece))
+        .into_par_iter()
+        .map(|i| {
+            let mut buffer = Vec::new();
+            let bytes = stored.data.read(i * piece, (len - i * piece).min(piece) as usize, &mut buffer)?;
+            let (values, _) = bytes.as_chunks::<N>();
+            Ok(values.iter().fold(NONE, |(low, high), &v| {
                 let v = read(v).to_f64();
                 (low.min(v), high.max(v))
-            })
+            }))
         })
-        .reduce(|| (f64::INFINITY, f64::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+        .try_reduce(|| NONE, |a, b| Ok((a.0.min(b.0), a.1.max(b.1))))?;
     let (a, b) = (a * slope + inter, b * slope + inter);
-    (a.min(b), a.max(b))
+    Ok((a.min(b), a.max(b)))
 }
 
-/// A pass over a volume, one row of x at a time, in planes of constant world z.
-struct Scan<'a> {
-    volume: &'a Volume<'a>,
-    /// World size.
-    dims: [u32; 3],
-    up: Up,
+/// The runs of one column from its bits.
+fn push_bits(bits: &[u64], ny: u32, out: &mut ColumnsBuilder) {
+    let mut start = None;
+    let mut below = 0;
+    for (i, &word) in bits.iter().enumerate() {
+        let mut changed = word ^ (word << 1 | below);
+        below = word >> 63;
+        while changed != 0 {
+            let y = i as u32 * 64 + changed.trailing_zeros();
+            match start.take() {
+                None => start = Some(y),
+                Some(first) => out.push_run(Run::new(first as u16, (y - 1) as u16)),
+            }
+            changed &= changed - 1;
+        }
+    }
+    if let Some(first) = start {
+        out.push_run(Run::new(first as u16, (ny - 1) as u16));
+    }
 }
 
-impl Scan<'_> {
-    fn columns<T: Sample, const N: usize>(
-        &self,
-        read: &(impl Fn([u8; N]) -> T + Sync),
-        solid: &(impl Fn(T) -> bool + Sync),
-    ) -> Result<Columns> {
-        let planes: Vec<Columns> =
-            (0..self.dims[2]).into_par_iter().map(|z| self.plane(z, &|bytes| solid(read(bytes)))).collect();
-        concat_rows(self.dims, &planes)
+/// Columns made from the bottom up, layer by layer. Rows are compared 64 voxels at a time with those of the layer
+/// below: only changes cost more than that.
+struct Layers {
+    nu: u32,
+    nv: u32,
+    words: usize,
+    below: Vec<u64>,
+    /// Where the run that is open in a column began.
+    start: Vec<u16>,
+    found: Vec<(u32, Run)>,
+    /// Runs found in a column; then, where they stand.
+    offsets: Vec<u32>,
+}
+
+impl Layers {
+    fn new(nu: u32, nv: u32) -> Layers {
+        let words = nu.div_ceil(64) as usize;
+        let n = nu as usize * nv as usize;
+        Layers {
+            nu,
+            nv,
+            words,
+            below: vec![0; words * nv as usize],
+            start: vec![0; n],
+            found: Vec::new(),
+            offsets: vec![0; n + 1],
+        }
     }
 
-    /// The columns of world row `z`. The rows of the file are read as they lie in it, from the lowest y up, and
-    /// compared 64 voxels at a time with the row below: only changes cost more than that.
-    fn plane<const N: usize>(&self, z: u32, solid: &impl Fn([u8; N]) -> bool) -> Columns {
-        let [nx, ny, _] = self.dims;
-        let words = (nx as usize).div_ceil(64);
-        let (mut below, mut start) = (vec![0u64; words], vec![0u16; nx as usize]);
-        let mut found: Vec<(u32, Run)> = Vec::new();
-        let mut offsets = vec![0u32; nx as usize + 1];
-        // One row beyond the top, all air, ends what still runs.
-        for y in 0..=ny {
-            let row = if y < ny { self.row(y, z).as_chunks::<N>().0 } else { &[] };
-            for (word_ix, below) in below.iter_mut().enumerate() {
-                let values = row.get(word_ix * 64..).unwrap_or_default();
-                let mut here = 0u64;
-                for (i, &value) in values.iter().take(64).enumerate() {
-                    here |= u64::from(solid(value)) << i;
+    /// Row `v` of layer `y`; each row is given once a layer.
+    #[inline]
+    fn row(&mut self, y: u32, v: u32, bits: &[u64]) {
+        let below = &mut self.below[v as usize * self.words..][..self.words];
+        for (i, (below, &here)) in below.iter_mut().zip(bits).enumerate() {
+            let mut changed = here ^ *below;
+            *below = here;
+            while changed != 0 {
+                let bit = changed.trailing_zeros();
+                let column = v * self.nu + i as u32 * 64 + bit;
+                if here >> bit & 1 == 1 {
+                    self.start[column as usize] = y as u16;
+                } else {
+                    self.found.push((column, Run::new(self.start[column as usize], (y - 1) as u16)));
+                    self.offsets[column as usize + 1] += 1;
                 }
-                let mut changed = here ^ *below;
-                while changed != 0 {
-                    let bit = changed.trailing_zeros();
-                    let x = word_ix as u32 * 64 + bit;
-                    if here >> bit & 1 == 1 {
-                        start[x as usize] = y as u16;
-                    } else {
-                        found.push((x, Run::new(start[x as usize], (y - 1) as u16)));
-                        offsets[x as usize + 1] += 1;
-                    }
-                    changed &= changed - 1;
-                }
-                *below = here;
+                changed &= changed - 1;
             }
         }
-        // A counting sort by column keeps each column's runs ascending.
-        for x in 0..nx as usize {
-            offsets[x + 1] += offsets[x];
-        }
-        let mut next = offsets.clone();
-        let mut runs = vec![Run::new(0, 0); found.len()];
-        for (x, run) in found {
-            runs[next[x as usize] as usize] = run;
-            next[x as usize] += 1;
-        }
-        Columns::from_parts(nx, ny, 1, offsets, runs)
     }
 
-    /// The bytes of world row (all x, `y`, `z`).
-    fn row(&self, y: u32, z: u32) -> &[u8] {
-        let [nx, ny, _] = self.volume.dims;
-        let (file_y, file_z) = match self.up {
-            Up::Y => (u64::from(y), u64::from(z)),
-            Up::Z => (ny - 1 - u64::from(z), u64::from(y)),
-        };
-        let size = self.volume.dtype.size();
-        let at = ((file_z * ny + file_y) * nx * size) as usize;
-        &self.volume.bytes[at..at + (nx * size) as usize]
+    /// The columns, `ny` high, after the layers below `end`.
+    fn finish(mut self, end: u32, ny: u32) -> Columns {
+        let air = vec![0; self.words];
+        (0..self.nv).for_each(|v| self.row(end, v, &air));
+        // A counting sort by column keeps each column's runs ascending.
+        for column in 1..self.offsets.len() {
+            self.offsets[column] += self.offsets[column - 1];
+        }
+        let mut next = self.offsets.clone();
+        let mut runs = vec![Run::new(0, 0); self.found.len()];
+        for (column, run) in self.found {
+            runs[next[column as usize] as usize] = run;
+            next[column as usize] += 1;
+        }
+        Columns::from_parts(self.nu, ny, self.nv, self.offsets, runs)
     }
 }

@@ -2,8 +2,7 @@
 
 use super::noise::{hash, sub_seed, unit};
 use super::{push_solid, shade};
-use crate::source::build_rows;
-use crate::{Colors, Input, Result, Rgb};
+use crate::{Colors, Columns, Input, Result, Rgb};
 
 /// Columns a side of a block with its half of the streets around it, and of the lot of one house.
 const BLOCK: u32 = 64;
@@ -133,7 +132,7 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
     let height = (size / 4).max(32);
     let city = City { seed: sub_seed(seed, 0), height };
     let painted = City { ..city };
-    let columns = build_rows([size, height, size], |z, columns| {
+    let columns = Columns::try_from_rows([size, height, size], |z, columns| {
         for x in 0..size {
             let house = city.house(x, z);
             let top = house.as_ref().map_or(16, |h| 2 + h.storeys * STOREY + LOT / 2 + 3).min(height);

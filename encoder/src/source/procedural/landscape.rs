@@ -2,7 +2,6 @@
 
 use super::noise::{Field, Octaves, hash, sub_seed};
 use super::{blend, push_solid, shade};
-use crate::source::build_rows;
 use crate::{Colors, Columns, Input, Result, Rgb};
 
 #[derive(Clone, Copy, PartialEq)]
@@ -53,7 +52,7 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     let bend = if rugged { 0.22 * high } else { 0.0 };
     let (rocks_at, rocks_from) = if rugged { (0.80, 0.30) } else { (0.76, 0.15) };
 
-    let columns = build_rows([size, ny, size], |z, columns| {
+    let columns = Columns::try_from_rows([size, ny, size], |z, columns| {
         let mut buffers: [Vec<f32>; 3] = Default::default();
         let [b0, b1, b2] = &mut buffers;
         for x in 0..size {

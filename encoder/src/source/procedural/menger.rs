@@ -1,18 +1,21 @@
 //! The Menger sponge: a cube of 3^L, with every voxel hollow that has two or more digits 1 at one place of its
 //! base-3 coordinates.
 
-use crate::source::build_rows;
-use crate::{Colors, ColumnsBuilder, Error, Input, Result, Run};
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::pieces::Rows;
+use crate::{ColumnsBuilder, Error, Result, Run};
 
 /// 2,187 a side, 1.28 billion voxels.
 pub const MAX_LEVEL: u32 = 7;
 
-pub fn make(size: u32) -> Result<Input> {
+pub fn make(size: u32) -> Result<Rows> {
     let Some(level) = (0..=MAX_LEVEL).find(|&l| 3u32.pow(l) == size) else {
         return Err(Error::Argument(format!("a Menger sponge of size {size}: expected a power of 3, or level=L")));
     };
-    let columns = build_rows([size; 3], |z, columns| {
-        for x in 0..size {
+    let row = move |xs: Range<u32>, z: u32, columns: &mut ColumnsBuilder| {
+        for x in xs {
             // At each place: 2 ones in (x, z) leave nothing, one leaves y's digits 0 and 2, none leaves all.
             let ones = |place: u32| {
                 let digit = |v: u32| v / 3u32.pow(place) % 3;
@@ -24,10 +27,10 @@ pub fn make(size: u32) -> Result<Input> {
             columns.end_column();
         }
         Ok(())
-    })?;
+    };
     let scale = 215.0 / size as f32;
     let color = move |x: u32, y: u32, z: u32| [x, y, z].map(|v| (40.0 + v as f32 * scale) as u8);
-    Ok(Input { columns, colors: Colors::Function(Box::new(color)), notes: Vec::new() })
+    Ok(Rows { dims: [size; 3], row: Box::new(row), color: Some(Arc::new(color)), notes: Vec::new(), input_bytes: 0 })
 }
 
 /// The runs of the 3^places voxels from `first` on.

@@ -1,11 +1,14 @@
 //! A mixing layer like that of a Richtmyer–Meshkov instability: heavy fluid (solid) below, light fluid above, between
 //! them spikes and bubbles with mushroom caps that break up into smaller ones. Tiles in x and z.
 
+use std::ops::Range;
+use std::sync::Arc;
+
 use super::blend;
 use super::noise::{Field, Octaves, sub_seed};
 use super::push_solid;
-use crate::source::build_rows;
-use crate::{Colors, Input, Result, Rgb};
+use crate::pieces::Rows;
+use crate::{ColumnsBuilder, Rgb};
 
 /// Half the height of the layer, as a part of the cube's side.
 const HALF_LAYER: f32 = 0.27;
@@ -25,7 +28,8 @@ fn threshold(t: f32) -> f32 {
     if t < 0.0 { -value } else { value }
 }
 
-pub fn make(size: u32, seed: u64) -> Result<Input> {
+/// Rows are made when they are asked for; only the coarse field is kept: 52 MB at most.
+pub fn make(size: u32, seed: u64) -> Rows {
     let side = size as f32;
     let octaves = |i: u32, wavelength: f32, n: u32, gain: f32, squash: f32| Octaves {
         seed: sub_seed(seed, i),
@@ -51,19 +55,19 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
         let moved = [x + side + reach * swirl[0].at(p), 0.5, z + side + reach * swirl[1].at(p)];
         1.6 * pattern.at(moved) + 0.77 * turbulence.at(p) - threshold(t)
     });
-    let columns = build_rows([size; 3], |z, columns| {
+    let row = move |xs: Range<u32>, z: u32, columns: &mut ColumnsBuilder| {
         let mut buffer = Vec::new();
-        for x in 0..size {
+        for x in xs {
             let field = field.profile(x, z, &mut buffer);
             push_solid(columns, 0..high, |y| y < low || field.at(y) > 0.0);
             columns.end_column();
         }
         Ok(())
-    })?;
+    };
     let color = move |_: u32, y: u32, _: u32| {
         const STOPS: [Rgb; 5] = [[38, 30, 92], [150, 36, 92], [230, 96, 48], [250, 190, 86], [255, 246, 214]];
         let t = (((y as f32 + 0.5 - middle) / half) * 0.5 + 0.5).clamp(0.0, 0.999) * 4.0;
         blend(STOPS[t as usize], STOPS[t as usize + 1], t - (t as u32) as f32)
     };
-    Ok(Input { columns, colors: Colors::Function(Box::new(color)), notes: Vec::new() })
+    Rows { dims: [size; 3], row: Box::new(row), color: Some(Arc::new(color)), notes: Vec::new(), input_bytes: 0 }
 }

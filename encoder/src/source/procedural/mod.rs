@@ -22,6 +22,7 @@ mod shapes;
 
 use clap::ValueEnum;
 
+use crate::pieces::{self, InMemory, Pieces};
 use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Kinds of procedural scenes.
@@ -55,7 +56,7 @@ const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks
      city";
 
 /// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`.
-pub fn from_name(name: &str) -> Result<Input> {
+pub fn from_name(name: &str) -> Result<Box<dyn Pieces>> {
     let fail = |what: String| Error::Argument(format!("procedural:{name}: {what}; expected {USAGE}"));
     let (kind, query) = name.split_once('?').unwrap_or((name, ""));
     let kind = Kind::from_str(kind, true).map_err(|_| fail(format!("there is no scene {kind:?}")))?;
@@ -72,11 +73,16 @@ pub fn from_name(name: &str) -> Result<Input> {
             _ => return Err(fail(format!("there is no parameter {key:?}"))),
         }
     }
-    procedural(kind, size.unwrap_or(kind.default_size()), seed)
+    procedural_pieces(kind, size.unwrap_or(kind.default_size()), seed)
 }
 
 /// Makes a scene of `size` columns a side; equal arguments give equal scenes.
 pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Input> {
+    pieces::whole(&*procedural_pieces(kind, size, seed)?)
+}
+
+/// The same, made piece by piece where the kind allows it.
+pub fn procedural_pieces(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pieces>> {
     let max = match kind {
         Kind::Terrain | Kind::Rocks | Kind::City => MAX_SIZE,
         // These fill cubes: time and memory grow with the volume.
@@ -86,15 +92,16 @@ pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Input> {
     if !(1..=max).contains(&size) {
         return Err(Error::Argument(format!("a procedural scene of size {size}: this kind is made from 1 to {max}")));
     }
+    let in_memory = |input: Result<Input>| Ok(Box::new(InMemory::new(input?)) as Box<dyn Pieces>);
     match kind {
-        Kind::Terrain => landscape::make(size, seed, landscape::Style::Terrain),
-        Kind::Rocks => landscape::make(size, seed, landscape::Style::Rocks),
-        Kind::Mixing => mixing::make(size, seed),
-        Kind::Menger => menger::make(size),
-        Kind::Shapes => shapes::make(size, seed),
-        Kind::Scan => scan::make(size, seed),
-        Kind::Serpent => serpent::make(size, seed),
-        Kind::City => city::make(size, seed),
+        Kind::Terrain => in_memory(landscape::make(size, seed, landscape::Style::Terrain)),
+        Kind::Rocks => in_memory(landscape::make(size, seed, landscape::Style::Rocks)),
+        Kind::Mixing => Ok(Box::new(mixing::make(size, seed))),
+        Kind::Menger => Ok(Box::new(menger::make(size)?)),
+        Kind::Shapes => in_memory(shapes::make(size, seed)),
+        Kind::Scan => in_memory(scan::make(size, seed)),
+        Kind::Serpent => in_memory(serpent::make(size, seed)),
+        Kind::City => in_memory(city::make(size, seed)),
     }
 }
 

@@ -2,8 +2,7 @@
 
 use super::noise::{Field, Octaves, hash, sub_seed, unit};
 use super::{push_solid, shade};
-use crate::source::build_rows;
-use crate::{Colors, Input, Result, Rgb};
+use crate::{Colors, Columns, Input, Result, Rgb};
 
 /// Middles and radii of the crown's parts, in sides of the cube.
 const CROWN: [([f32; 3], f32); 5] = [
@@ -60,7 +59,7 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
         }
         if grain > 0.9999 { 5 } else { 0 }
     };
-    let columns = build_rows([size; 3], |z, columns| {
+    let columns = Columns::try_from_rows([size; 3], |z, columns| {
         let mut buffer = Vec::new();
         for x in 0..size {
             let sheets = field.profile(x, z, &mut buffer);

@@ -2,8 +2,7 @@
 
 use super::noise::{Field, Octaves, sub_seed};
 use super::{blend, push_solid};
-use crate::source::build_rows;
-use crate::{Colors, Input, Result, Rgb};
+use crate::{Colors, Columns, Input, Result, Rgb};
 
 /// Balls that the body is made of, tail to head.
 const BALLS: u32 = 420;
@@ -40,7 +39,7 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
     // Two voxels: no ray slips through between voxels that touch at an edge.
     let skin = 2.0;
 
-    let columns = build_rows([size; 3], |z, columns| {
+    let columns = Columns::try_from_rows([size; 3], |z, columns| {
         let (mut buffer, mut depth) = (Vec::new(), vec![f32::NEG_INFINITY; size as usize]);
         for x in 0..size {
             let (px, pz) = (x as f32 + 0.5, z as f32 + 0.5);

@@ -2,8 +2,7 @@
 
 use super::noise::{hash, sub_seed, unit};
 use super::{push_solid, shade};
-use crate::source::build_rows;
-use crate::{Colors, Input, Result, Rgb, Run};
+use crate::{Colors, Columns, Input, Result, Rgb, Run};
 
 /// Columns along a side of a cell of the index from columns to shapes.
 const CELL: u32 = 32;
@@ -173,7 +172,7 @@ pub fn make(size: u32, seed: u64) -> Result<Input> {
     }
     let index = Index { cells, lists };
 
-    let columns = build_rows([size; 3], |z, columns| {
+    let columns = Columns::try_from_rows([size; 3], |z, columns| {
         let mut solid = vec![false; size as usize];
         for x in 0..size {
             let mut high = floor;

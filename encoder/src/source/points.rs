@@ -1,0 +1,193 @@
+//! Clouds of points: LAS and LAZ (feature `las`), and PLY without faces. A voxel is solid where a point is.
+//!
+//! Points go to a file without a name as they are read, in lists by rows of tiles, so that the cloud need not fit into
+//! memory.
+
+use std::fs::File;
+use std::io::Write;
+use std::ops::Range;
+use std::path::Path;
+
+use bytemuck::{Pod, Zeroable};
+
+use super::mesh::{self, Mesh};
+use super::spots::{self, Spot};
+use super::{ReadOptions, Up, read_at, world_dims};
+use crate::format::TILE;
+use crate::pieces::Pieces;
+use crate::{Error, Input, Result};
+
+/// Points of a list that are written together.
+const TOGETHER: usize = 4096;
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+struct Record {
+    x: u32,
+    z: u32,
+    y: u16,
+    color: [u16; 3],
+}
+
+/// A cloud of points in voxels of the world.
+pub(super) struct Points {
+    dims: [u32; 3],
+    file: File,
+    /// For each row of tiles, where its points stand and how many.
+    lists: Vec<Vec<(u64, u32)>>,
+    colored: bool,
+    /// What a colour is divided by to have 8 bits.
+    color_unit: u32,
+    notes: Vec<String>,
+    input_bytes: u64,
+}
+
+fn scratch(action: &'static str) -> impl Fn(std::io::Error) -> Error {
+    move |e| Error::io(std::env::temp_dir(), action, e)
+}
+
+impl Points {
+    /// The points that `each` gives, one after the other, as place and colour. All lie between `low` and `high`, in world
+    /// axes; `scale` is voxels a unit.
+    fn new(
+        path: &Path,
+        [low, high]: [[f64; 3]; 2],
+        scale: f64,
+        colored: bool,
+        each: impl FnOnce(&mut dyn FnMut([f64; 3], [u16; 3]) -> Result<()>) -> Result<()>,
+    ) -> Result<Points> {
+        let sides = [0, 1, 2].map(|a| ((high[a] - low[a]) * scale) as u64 + 1);
+        let dims = world_dims(path, sides, "give a larger --voxel")?;
+        let mut file = tempfile::tempfile().map_err(scratch("create a file in"))?;
+        let n_lists = dims[2].div_ceil(TILE) as usize;
+        let mut lists = vec![Vec::new(); n_lists];
+        let mut waiting: Vec<Vec<Record>> = vec![Vec::new(); n_lists];
+        let (mut at, mut n, mut brightest) = (0, 0u64, 0);
+        let mut flush = |list: usize, records: &mut Vec<Record>| {
+            lists[list].push((at, records.len() as u32));
+            file.write_all(bytemuck::cast_slice(records)).map_err(scratch("write a file in"))?;
+            at += size_of_val(&records[..]) as u64;
+            records.clear();
+            Ok::<(), Error>(())
+        };
+        each(&mut |p, color| {
+            if !p.iter().all(|v| v.is_finite()) {
+                return Err(Error::format(path, format!("point {n} is at {p:?}; finite numbers were expected")));
+            }
+            let [x, y, z] = [0, 1, 2].map(|a| (((p[a] - low[a]) * scale) as u32).min(dims[a] - 1));
+            brightest = brightest.max(color[0]).max(color[1]).max(color[2]);
+            n += 1;
+            let list = (z / TILE) as usize;
+            waiting[list].push(Record { x, z, y: y as u16, color });
+            if waiting[list].len() == TOGETHER { flush(list, &mut waiting[list]) } else { Ok(()) }
+        })?;
+        for (list, records) in waiting.iter_mut().enumerate().filter(|(_, r)| !r.is_empty()) {
+            flush(list, records)?;
+        }
+        if n == 0 {
+            return Err(Error::format(path, "no points"));
+        }
+        let notes = vec![format!("{n} points, voxels of {} units", 1.0 / scale)];
+        // Many writers put 8 bits where 16 belong.
+        let color_unit = if brightest > 255 { 257 } else { 1 };
+        Ok(Points { dims, file, lists, colored, color_unit, notes, input_bytes: 0 })
+    }
+
+    /// Of a mesh without faces.
+    pub fn of_mesh(path: &Path, cloud: Mesh, opts: &ReadOptions) -> Result<Points> {
+        let up = opts.up.unwrap_or_default();
+        let turned = |p: [f32; 3]| turn(up, p.map(f64::from));
+        let (low, high) = mesh::bounds(path, &cloud.positions)?;
+        let (low, high) = box_of(turn(up, low), turn(up, high));
+        let scale = mesh::scale(path, low, high, opts, 512)?;
+        Points::new(path, [low, high], scale, !cloud.colors.is_empty(), |point| {
+            cloud.positions.iter().enumerate().try_for_each(|(i, &p)| {
+                point(turned(p), cloud.colors.get(i).copied().unwrap_or_default().map(u16::from))
+            })
+        })
+    }
+
+    /// LAS and LAZ, z up unless `--up` says otherwise. Voxels are as wide as the mean distance of points where nobody
+    /// says.
+    #[cfg(feature = "las")]
+    pub fn las(path: &Path, opts: &ReadOptions) -> Result<Points> {
+        super::guarded(path, "LAS", || {
+            let fail = |e: las::Error| Error::format(path, format!("LAS: {e}"));
+            let mut reader = las::Reader::from_path(path).map_err(fail)?;
+            let header = reader.header();
+            let n = header.number_of_points();
+            let (bounds, colored) = (header.bounds(), header.point_format().has_color);
+            let ends = [bounds.min, bounds.max].map(|v| [v.x, v.y, v.z]);
+            if n == 0 || ends.as_flattened().iter().any(|v| !v.is_finite()) {
+                return Err(Error::format(path, format!("LAS: {n} points between {:?} and {:?}", ends[0], ends[1])));
+            }
+            let up = opts.up.unwrap_or(Up::Z);
+            let (low, high) = box_of(turn(up, ends[0]), turn(up, ends[1]));
+            let scale = match (opts.voxel, opts.size) {
+                (None, None) => (n as f64 / ((high[0] - low[0]) * (high[2] - low[2])).max(f64::MIN_POSITIVE)).sqrt(),
+                _ => mesh::scale(path, low, high, opts, 512)?,
+            };
+            let mut points = Points::new(path, [low, high], scale, colored, |point| {
+                loop {
+                    let some = reader.read_points(1 << 16).map_err(fail)?;
+                    if some.is_empty() {
+                        return Ok(());
+                    }
+                    let places = some.x().zip(some.y()).zip(some.z()).map(|((x, y), z)| turn(up, [x, y, z]));
+                    match some.rgb() {
+                        Some(colors) => places.zip(colors).try_for_each(|(p, (r, g, b))| point(p, [r, g, b]))?,
+                        None => places.map(|p| point(p, [0; 3])).collect::<Result<()>>()?,
+                    }
+                }
+            })?;
+            points.input_bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+            Ok(points)
+        })
+    }
+}
+
+/// A place of the input in world axes.
+fn turn(up: Up, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    match up {
+        Up::X => [z, x, y],
+        Up::Y => [x, y, z],
+        Up::Z => [x, z, -y],
+    }
+}
+
+fn box_of(a: [f64; 3], b: [f64; 3]) -> ([f64; 3], [f64; 3]) {
+    ([0, 1, 2].map(|i| a[i].min(b[i])), [0, 1, 2].map(|i| a[i].max(b[i])))
+}
+
+impl Pieces for Points {
+    fn dims(&self) -> [u32; 3] {
+        self.dims
+    }
+
+    fn colored(&self) -> bool {
+        self.colored
+    }
+
+    fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
+        let dims = [xs.len() as u32, self.dims[1], zs.len() as u32];
+        let mut spots = Vec::new();
+        let mut records: Vec<Record> = Vec::new();
+        for &(at, n) in self.lists[(zs.start / TILE) as usize..zs.end.div_ceil(TILE) as usize].iter().flatten() {
+            records.resize(n as usize, Record::zeroed());
+            read_at(&self.file, bytemuck::cast_slice_mut(&mut records), at).map_err(scratch("read a file in"))?;
+            for r in records.iter().filter(|r| xs.contains(&r.x) && zs.contains(&r.z)) {
+                let color = r.color.map(|c| (u32::from(c) / self.color_unit) as u8);
+                spots.push(Spot { column: (r.z - zs.start) * dims[0] + r.x - xs.start, y: r.y, color });
+            }
+        }
+        Ok(spots::piece(dims, spots, self.colored))
+    }
+
+    fn input_bytes(&self) -> u64 {
+        self.input_bytes
+    }
+}

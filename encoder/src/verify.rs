@@ -1,0 +1,154 @@
+//! Looking for what is wrong with a scene file, all of it, not the first alone.
+
+use std::collections::VecDeque;
+
+use rayon::prelude::*;
+
+use crate::{Error, Level, PcastFile};
+
+/// What [`verify`] finds.
+#[derive(Debug)]
+pub struct Report {
+    /// Tiles of all levels.
+    pub tiles: u64,
+    /// What is wrong, a line a broken tile.
+    pub faults: Vec<Error>,
+}
+
+/// Checks the tiles of a file whose header and directory were found right: their checksums; unless `quick`, every byte
+/// of them, too, and that the exposed voxels are just those with an exposed face. Three rows of tiles are in memory.
+pub fn verify(file: &PcastFile, quick: bool) -> Report {
+    let mut faults = Vec::new();
+    for (k, grid) in file.grids().iter().enumerate() {
+        let row = |tz: u32| {
+            let tiles = (0..grid.tiles[0]).into_par_iter();
+            tiles.map(move |tx| match quick {
+                true => file.blob(k, tx, tz).map(|_| None),
+                false => file.tile(k, tx, tz).map(Some),
+            })
+        };
+        // The row before the one that is looked at, itself, and the next; None for what is broken.
+        let mut rows: VecDeque<(u32, Vec<Option<Level>>)> = VecDeque::new();
+        let check = |rows: &VecDeque<(u32, Vec<Option<Level>>)>, tz: u32| {
+            file.check_exposure_of_row(k, tz, |tx, tz| {
+                let (_, row) = rows.iter().find(|r| r.0 == tz)?;
+                row[tx as usize].as_ref()
+            })
+        };
+        for tz in 0..grid.tiles[1] {
+            let tiles: Vec<Result<Option<Level>, Error>> = row(tz).collect();
+            let tiles = tiles.into_iter().map(|tile| {
+                tile.unwrap_or_else(|fault| {
+                    faults.push(fault);
+                    None
+                })
+            });
+            rows.push_back((tz, tiles.collect()));
+            if quick {
+                rows.clear();
+                continue;
+            }
+            if tz > 0 {
+                faults.extend(check(&rows, tz - 1));
+            }
+            if rows.len() > 2 {
+                rows.pop_front();
+            }
+        }
+        if !quick {
+            faults.extend(check(&rows, grid.tiles[1] - 1));
+        }
+    }
+    Report { tiles: file.entries().len() as u64, faults }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::write::write_scene_to;
+    use crate::{BuildOptions, ColorMode, Columns, build, testing};
+
+    fn scene(color: ColorMode) -> Vec<u8> {
+        let columns = Columns::from_fn(600, 9, 530, |x, y, z| y < 4 + (x * 7 + z * 3) % 5);
+        let opts = BuildOptions { color: Some(color), ..Default::default() };
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let scene = build(testing::input(columns, true), &opts).unwrap();
+        write_scene_to(&scene, &mut bytes, "a.pcast".as_ref()).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn verify_finds_nothing_wrong_with_a_good_file() {
+        for color in [ColorMode::None, ColorMode::Voxel] {
+            let file = PcastFile::from_bytes("a.pcast", scene(color)).unwrap();
+            for quick in [true, false] {
+                let report = verify(&file, quick);
+                assert!(report.faults.is_empty(), "{report:?}");
+                assert_eq!(report.tiles, 9 + 4 + 9);
+            }
+        }
+    }
+
+    #[test]
+    fn verify_names_every_broken_tile_and_the_rest_stays_readable() {
+        for color in [ColorMode::None, ColorMode::Voxel] {
+            let mut bytes = scene(color);
+            let good = PcastFile::from_bytes("a.pcast", bytes.clone()).unwrap();
+            for tile in [1, 6, 10] {
+                let entry = good.entries()[tile];
+                bytes[entry.offset as usize + entry.len as usize / 2] ^= 4;
+            }
+            let file = PcastFile::from_bytes("a.pcast", bytes).unwrap();
+            for quick in [true, false] {
+                let faults: Vec<String> = verify(&file, quick).faults.iter().map(Error::to_string).collect();
+                assert_eq!(faults.len(), 3, "{faults:?}");
+                for (fault, place) in faults.iter().zip(["(1, 0) of level 0", "(0, 2) of level 0", "(1, 0) of level 1"])
+                {
+                    assert!(fault.contains(place) && fault.contains("does not match its checksum"), "{fault}");
+                }
+            }
+            assert!(file.read_scene().is_err());
+            let (found, faults) = file.read_scene_without_broken().unwrap();
+            assert_eq!(faults.len(), 3);
+            let expected = good.read_scene().unwrap();
+            let (found, expected) = (&found.levels[0].solid, &expected.levels[0].solid);
+            for (x, z) in [(0, 0), (255, 529), (512, 0), (599, 300)] {
+                let broken = (x / 256, z / 256) == (1, 0) || (x / 256, z / 256) == (0, 2);
+                assert_eq!(found.column(x, z), if broken { &[] } else { expected.column(x, z) });
+            }
+            assert!(file.query(0, 0, 0).unwrap().solid);
+            assert!(file.query(300, 0, 0).is_err());
+        }
+    }
+
+    #[test]
+    fn verify_finds_exposure_that_a_faulty_program_wrote() {
+        let columns = Columns::from_fn(300, 9, 9, |_, _, _| true);
+        let good = build(testing::input(columns, true), &BuildOptions::default()).unwrap();
+        let mut bad = good.clone();
+        // Of tile (1, 0), a voxel that is hidden is shown.
+        let exposed = bad.levels[0].exposed.take().unwrap();
+        bad.levels[0].exposed = Some(Columns::from_rows(300, 9, 9, |z, out| {
+            for x in 0..300 {
+                match (x, z) {
+                    (280, 4) => [0, 3, 8].map(|y| out.push_run(crate::Run::new(y, y))).into_iter().collect(),
+                    _ => exposed.column(x, z).iter().for_each(|&r| out.push_run(r)),
+                }
+                out.end_column();
+            }
+        }));
+        bad.levels[0].colors.push([0; 3]);
+        let faults = |scene| {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            write_scene_to(scene, &mut bytes, "a.pcast".as_ref()).unwrap();
+            let report = verify(&PcastFile::from_bytes("a.pcast", bytes.into_inner()).unwrap(), false);
+            report.faults.iter().map(Error::to_string).collect::<Vec<_>>()
+        };
+        assert_eq!(faults(&good), [""; 0]);
+        let found = faults(&bad);
+        assert!(
+            found.len() == 1 && found[0].contains("tile (1, 0) of level 0") && found[0].contains("exposed"),
+            "{found:?}"
+        );
+    }
+}
