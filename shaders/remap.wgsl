@@ -107,7 +107,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         put(i, own, bitcast<u32>(near_own));
         return;
     }
-    // The nearest sample that the ray meets among those around the place; else one that shows the sky; else the own one.
+    // The nearest sample that the ray meets among those around the place; else one of the two planes' own
+    // that shows the sky; else the nearest plane's.
     var best = own;
     var best_depth = MISS;
     var sky = select(NONE, own, own_voxel.w < 0);
@@ -120,7 +121,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let at = buffer_index(place.fan, k, u32(sample));
             let voxel = plane_voxel[at];
             if (voxel.w < 0) {
-                sky = select(sky, at, sky == NONE);
+                // Not a neighbour's along the line: that would be a notch in a silhouette.
+                sky = select(sky, at, sky == NONE && u32(sample) == place.sample);
                 continue;
             }
             let near = enter(voxel, inverse);

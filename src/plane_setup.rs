@@ -339,6 +339,10 @@ fn readjust(fan: &mut Fan, f: usize, vanishing: [f64; 3], extent: (f64, f64), w:
     }
     let (x, y) = (vx / vw, vy / vw);
     let (centre, distance, depth) = if vertical(f) { (x, (y - fan.far).abs(), h) } else { (y, (x - fan.far).abs(), w) };
+    // As good as parallel, and so far that places beside the centre would be lost to rounding.
+    if distance > 1e6 * (w + h) {
+        return;
+    }
     let rho = ((distance - depth) / distance).clamp(0.0, 1.0);
     let pixels = 1.5 * (1.0 + rho) / (1.0 + rho + rho * rho);
     let q = |at: f64| crowd((at - centre) / distance);

@@ -91,7 +91,7 @@ fn folders_and_files_without_permission_are_plain_errors() {
         assert!(said.contains("folder"), "{line}: {said}");
     }
     use std::os::unix::fs::PermissionsExt;
-    fs::set_permissions(dir.path().join("a.pcast"), fs::Permissions::from_mode(0)).unwrap();
+    fs::set_permissions(dir.path().join("a.pcast"), fs::Permissions::from_mode(0o000)).unwrap();
     // Root may read everything.
     if fs::File::open(dir.path().join("a.pcast")).is_err() {
         let said = fails(planecast(dir.path(), "info a.pcast"));

@@ -450,9 +450,9 @@ fn retest_rows(task: RetestTask<'_>) {
     }
 }
 
-/// The best sample around `sample` of `plane` and of the plane `second` on the pixel's other side, none of which the ray meets, and the depth at which the ray meets it: the
-/// nearest one met; else one that shows the sky; else the own one. `shown` and `drawn` are the fan's part of the buffer and
-/// of the planes.
+/// The best sample around `sample` of `plane` and of the plane `second` on the pixel's other side, where the ray meets
+/// neither plane's own, and the depth at which the ray meets it: the nearest one met; else one of the two planes' own that
+/// shows the sky; else the nearest plane's. `shown` and `drawn` are the fan's part of the buffer and of the planes.
 #[cold]
 fn retest(
     fan: &Fan,
@@ -472,7 +472,11 @@ fn retest(
             let i = at(k, sample);
             let voxel = shown[i as usize];
             if voxel == SKY {
-                sky = sky.or(Some(i));
+                // Not that of a neighbour along the line: with the plane's own distance that can be two pixels away, and
+                // would be a notch in a silhouette.
+                if i % fan.n_samples == own % fan.n_samples {
+                    sky = sky.or(Some(i));
+                }
                 continue;
             }
             let near = boxes.enter(voxel, inverse);

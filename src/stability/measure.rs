@@ -25,6 +25,9 @@ pub const BOUND_DEPTH: f64 = 1e-5;
 /// Greatest share of pixels, in percent, that one ulp may move beyond those that it moves in `exact`.
 pub const BOUND_MOVED: f64 = 0.5;
 
+/// Draws one frame.
+pub type Draw<'a> = Box<dyn FnMut(&Camera, &Options) -> Result<Frame> + 'a>;
+
 /// Something that draws frames with voxels.
 pub struct Drawer<'a> {
     /// The adapter's name, or "cpu".
@@ -32,7 +35,7 @@ pub struct Drawer<'a> {
     pub kernel: String,
     /// Whether it is `exact` itself.
     pub exact: bool,
-    pub draw: Box<dyn FnMut(&Camera, &Options) -> Result<Frame> + 'a>,
+    pub draw: Draw<'a>,
 }
 
 impl<'a> Drawer<'a> {
@@ -41,6 +44,17 @@ impl<'a> Drawer<'a> {
         let mut renderer = CpuRenderer::new(&world.scene, &world.resident);
         let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
         Drawer { device: "cpu".into(), kernel: "planes".into(), exact: false, draw: Box::new(draw) }
+    }
+
+    /// Planes on the CPU, walked in f64.
+    pub fn cpu_f64(world: &'a World) -> Drawer<'a> {
+        let mut planes = Drawer::cpu(world);
+        planes.kernel = "planes, f64".into();
+        let mut draw = planes.draw;
+        planes.draw = Box::new(move |camera: &Camera, options: &Options| {
+            draw(camera, &Options { f64_traversal: true, ..*options })
+        });
+        planes
     }
 
     /// A kernel of the GPU, with wgpu's runtime checks or without.
@@ -306,10 +320,9 @@ impl<'a> Sight<'a> {
         if voxel[3] > 0 && !self.solid(voxel) {
             return false;
         }
-        // From the centre outwards: most pixels are settled by the first ray.
+        // From the centre outwards, since most pixels are settled by the first ray: 0, −1, 1, −2, …
         let step = 2.0 * REACH / f64::from(RAYS - 1);
-        let beside =
-            |k: u32| f64::from(if k % 2 == 0 { k / 2 } else { k.div_ceil(2) } as i32 * (1 - 2 * (k as i32 % 2))) * step;
+        let beside = |k: u32| step * f64::from(k.div_ceil(2)) * if k.is_multiple_of(2) { 1.0 } else { -1.0 };
         (0..RAYS * RAYS).any(|k| {
             let ray = self.camera.ray(&self.basis, x + beside(k % RAYS), y + beside(k / RAYS));
             if voxel == SKY {
