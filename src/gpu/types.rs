@@ -56,7 +56,7 @@ pub struct Plane {
     pub base: u32,
     pub lod_first: u32,
     pub cell: [i32; 2],
-    /// The plane that is walked in this one's place: see [`turns`].
+    /// The plane that is walked in this one's place: see `turns`.
     pub turn: u32,
     pub _pad0: u32,
 }

@@ -2,7 +2,7 @@
 //!
 //! *Stiff*: one frame mixes scales many orders apart (grazing slopes, rays almost along an axis, a near voxel beside a far
 //! view). *Extreme*: every limit of every input. [`catalogue::cases`] names them with a reason and a bound each;
-//! [`measure`] draws one with a [`Drawer`] and says what came of it as a [`Row`]. Tests and the report share both.
+//! [`measure()`] draws one with a [`Drawer`] and says what came of it as a [`Row`]. Tests and the report share both.
 //!
 //! # What is measured
 //! - **off**: pixels that show what no ray within [`measure::REACH`] pixels of theirs meets, in f64 at level 0
