@@ -65,14 +65,51 @@ fn every_case_keeps_its_bounds_on_the_cpu() {
 }
 
 #[cfg(feature = "gpu")]
+fn gpu_wanted() -> bool {
+    let skip = std::env::var_os("PLANECAST_NO_GPU").is_some_and(|v| v == "1");
+    if skip {
+        eprintln!("skipped: PLANECAST_NO_GPU=1");
+    }
+    !skip
+}
+
+#[cfg(feature = "gpu")]
 #[test]
 fn every_case_keeps_its_bounds_on_the_gpu() {
-    if std::env::var_os("PLANECAST_NO_GPU").is_some_and(|v| v == "1") {
-        eprintln!("skipped: PLANECAST_NO_GPU=1");
+    if !gpu_wanted() {
         return;
     }
-    let (_, faults) = run(|world| planecast::Kernel::ALL.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
+    let (rows, faults) = run(|world| planecast::Kernel::ALL.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
+    // What a device does not draw it refuses with the figure and a way out; that is the rare case.
+    let refused: Vec<_> = rows.iter().filter_map(|r| r.refused.as_deref()).collect();
+    assert!(refused.iter().all(|text| text.contains("allows") || text.contains("at most")), "{refused:?}");
+    assert!(refused.iter().all(|text| text.contains("; try ")), "{refused:?}");
+    assert!(30 * refused.len() < rows.len(), "{refused:?}");
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn walks_of_seconds_are_refused_on_the_gpu() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = WorldName::Floor.make();
+    let eye = DVec3::new(16.3, 4.5, 15.7);
+    let camera = Camera { eye, yaw: 25.0, pitch: 0.0, roll: 0.0, fov: 60.0, width: 16, height: 9 };
+    let inside_solid = Camera { eye: DVec3::new(16.3, 3.5, 15.7), ..camera };
+    let repeat = Repeat { x: true, z: true };
+    let far = Options { lod: None, repeat, view_distance: 1e9, ..Options::default() };
+    for kernel in planecast::Kernel::ALL {
+        let mut drawer = Drawer::gpu(&world, kernel, true).unwrap();
+        let inside = (drawer.draw)(&inside_solid, &far).unwrap();
+        assert_eq!(inside.stats.kernel, "inside", "an eye in solid walks nothing");
+        let tall = Camera { eye: DVec3::new(16.3, 1e7, 15.7), pitch: -60.0, ..camera };
+        let text = (drawer.draw)(&tall, &far).unwrap_err().to_string();
+        assert!(text.contains("columns along one plane") && text.contains("try levels (--lod 1)"), "{text}");
+        // The renderer goes on.
+        (drawer.draw)(&camera, &Options { view_distance: 500.0, ..far }).unwrap();
+    }
 }
 
 /// What a case says of a drawer that spoils each frame, the n-th it draws, as told.
