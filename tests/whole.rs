@@ -147,21 +147,27 @@ fn interrupts_leave_whole_files() {
         ("render a.pcast -o b.png --size 600x500 --device cpu", "b.png"),
         ("render a.pcast -o b.png --size 600x500 --device exact", "b.png"),
     ] {
-        let at = std::time::Instant::now();
-        succeeds(dir.path(), line);
-        let (old, takes) = (fs::read(path(name)).unwrap(), at.elapsed());
-        for k in 0..12 {
+        // The first run may wait for the disk.
+        let time = |_| {
+            let at = std::time::Instant::now();
+            succeeds(dir.path(), line);
+            at.elapsed()
+        };
+        let takes = (0..3).map(time).min().unwrap();
+        let old = fs::read(path(name)).unwrap();
+        for k in 0..20 {
             let mut child = planecast(dir.path(), line).spawn().unwrap();
-            std::thread::sleep(takes * k / 10);
+            std::thread::sleep(takes * k / 20);
             let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success();
             let status = child.wait().unwrap();
             interrupted += u32::from(killed && !status.success());
-            assert!(fs::read(path(name)).unwrap() == old, "{line} after {k} tenths");
+            assert!(fs::read(path(name)).unwrap() == old, "{line} after {k} twentieths");
             let left = names(dir.path()).into_iter().filter(|n| !n.starts_with(".planecast-")).count();
             assert!(left <= 3, "{:?}", names(dir.path()));
         }
     }
-    assert!(interrupted > 5, "{interrupted} runs were interrupted");
+    // More than those that had not begun.
+    assert!(interrupted > 3, "{interrupted} runs were interrupted");
     // A film: what is there is whole frames, and the rest can follow.
     let film = "fly a.pcast -o film --tour --frames 30 --size 160x120 --device cpu";
     for k in 0..6 {
