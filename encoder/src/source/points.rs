@@ -20,6 +20,10 @@ use crate::{Error, Input, Result};
 /// Points of a list that are written together.
 const TOGETHER: usize = 4096;
 
+/// Bytes of LAS points that are read together: a record may claim 64 KiB.
+#[cfg(feature = "las")]
+const AT_ONCE: u64 = 4 << 20;
+
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct Record {
@@ -121,6 +125,14 @@ impl Points {
             if n == 0 || ends.as_flattened().iter().any(|v| !v.is_finite()) {
                 return Err(Error::format(path, format!("LAS: {n} points between {:?} and {:?}", ends[0], ends[1])));
             }
+            // What the header claims, against the file before memory is asked for.
+            let record = u64::from(header.point_format().len());
+            let file_len = std::fs::metadata(path).map_or(0, |m| m.len());
+            if !header.point_format().is_compressed && n.checked_mul(record).is_none_or(|len| len > file_len) {
+                let claim = format!("{n} points of {record} bytes in a file of {file_len}");
+                return Err(Error::format(path, format!("byte 105: LAS: {claim}; it was cut short or is damaged")));
+            }
+            let at_once = (AT_ONCE / record.max(1)).clamp(1, 1 << 16);
             let up = opts.up.unwrap_or(Up::Z);
             let (low, high) = box_of(turn(up, ends[0]), turn(up, ends[1]));
             let scale = match (opts.voxel, opts.size) {
@@ -129,7 +141,7 @@ impl Points {
             };
             let mut points = Points::new(path, [low, high], scale, colored, |point| {
                 loop {
-                    let some = reader.read_points(1 << 16).map_err(fail)?;
+                    let some = reader.read_points(at_once).map_err(fail)?;
                     if some.is_empty() {
                         return Ok(());
                     }
@@ -140,7 +152,7 @@ impl Points {
                     }
                 }
             })?;
-            points.input_bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+            points.input_bytes = file_len;
             Ok(points)
         })
     }

@@ -1124,6 +1124,18 @@ fn las_points_stand_on_z_with_their_colours() {
     assert!(input.columns.solid(0, 0, 1) && input.columns.solid(3, 9, 0));
     let Colors::Voxel { entries, .. } = input.colors else { panic!("no colours") };
     assert_eq!(entries, [(9, [1, 0, 0]), (0, [255, 0, 0])]);
+    // Found by fuzzing: points of 64 KiB that are not there, asked for 65,536 at a time.
+    let good = fs::read(&path).unwrap();
+    let mut forged = good.clone();
+    forged[105..107].copy_from_slice(&u16::MAX.to_le_bytes());
+    fs::write(&path, &forged).unwrap();
+    let text = open(&path, &opts("--voxel 1")).err().unwrap().to_string();
+    assert!(
+        text.contains("byte 105: LAS: 2 points of 65535 bytes in a file of") && text.contains("cut short"),
+        "{text}"
+    );
+    fs::write(&path, &good[..good.len() - 1]).unwrap();
+    assert!(open(&path, &opts("--voxel 1")).err().unwrap().to_string().contains("LAS: "));
     fs::write(&path, b"LASF but no more").unwrap();
     assert!(open(&path, &opts("")).err().unwrap().to_string().contains("LAS: "));
 }
