@@ -60,7 +60,7 @@ impl Points {
         colored: bool,
         each: impl FnOnce(&mut dyn FnMut([f64; 3], [u16; 3]) -> Result<()>) -> Result<()>,
     ) -> Result<Points> {
-        let sides = [0, 1, 2].map(|a| ((high[a] - low[a]) * scale) as u64 + 1);
+        let sides = [0, 1, 2].map(|a| (((high[a] - low[a]) * scale) as u64).saturating_add(1));
         let dims = world_dims(path, sides, "give a larger --voxel")?;
         let mut file = tempfile::tempfile().map_err(scratch("create a file in"))?;
         let n_lists = dims[2].div_ceil(TILE) as usize;

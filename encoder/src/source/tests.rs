@@ -1134,6 +1134,12 @@ fn las_points_stand_on_z_with_their_colours() {
         text.contains("byte 105: LAS: 2 points of 65535 bytes in a file of") && text.contains("cut short"),
         "{text}"
     );
+    // And a cloud of more voxels than u64 counts.
+    forged = good.clone();
+    forged[179..187].copy_from_slice(&1e300f64.to_le_bytes());
+    fs::write(&path, &forged).unwrap();
+    let text = open(&path, &opts("--voxel 1e-9")).err().unwrap().to_string();
+    assert!(text.contains("columns, at most") || text.contains("voxels high"), "{text}");
     fs::write(&path, &good[..good.len() - 1]).unwrap();
     assert!(open(&path, &opts("--voxel 1")).err().unwrap().to_string().contains("LAS: "));
     fs::write(&path, b"LASF but no more").unwrap();
