@@ -117,6 +117,7 @@ impl Points {
     pub fn las(path: &Path, opts: &ReadOptions) -> Result<Points> {
         super::guarded(path, "LAS", || {
             let fail = |e: las::Error| Error::format(path, format!("LAS: {e}"));
+            check_extended(path)?;
             let mut reader = las::Reader::from_path(path).map_err(fail)?;
             let header = reader.header();
             let n = header.number_of_points();
@@ -156,6 +157,36 @@ impl Points {
             Ok(points)
         })
     }
+}
+
+/// Checks that the extended records of a LAS 1.4 file lie within it: their lengths are 64 bits, and the reader takes
+/// memory for what they claim.
+#[cfg(feature = "las")]
+fn check_extended(path: &Path) -> Result<()> {
+    use std::io::{Read, Seek, SeekFrom};
+    let failed = |e| Error::io(path, "read", e);
+    let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let file_len = file.metadata().map_err(failed)?.len();
+    let mut head = Vec::new();
+    file.by_ref().take(247).read_to_end(&mut head).map_err(failed)?;
+    // Shorter headers and older versions have none.
+    if head.len() < 247 || head[25] < 4 {
+        return Ok(());
+    }
+    let mut at = u64::from_le_bytes(head[235..243].try_into().expect("eight bytes"));
+    let n = u32::from_le_bytes(head[243..247].try_into().expect("four bytes"));
+    for i in 0..if at == 0 { 0 } else { n } {
+        let wrong = |what: String| Error::format(path, format!("byte {at}: LAS: extended record {i} of {n} {what}"));
+        let content = at.checked_add(60).filter(|&end| end <= file_len);
+        let content = content.ok_or_else(|| wrong("is not in the file; it was cut short or is damaged".into()))?;
+        let mut record = [0; 60];
+        file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut record)).map_err(failed)?;
+        let len = u64::from_le_bytes(record[20..28].try_into().expect("eight bytes"));
+        let end = content.checked_add(len).filter(|&end| end <= file_len);
+        let left = file_len - content;
+        at = end.ok_or_else(|| wrong(format!("claims {len} bytes of the {left} that are left; it is damaged")))?;
+    }
+    Ok(())
 }
 
 /// A place of the input in world axes.

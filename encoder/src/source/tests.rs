@@ -1140,6 +1140,16 @@ fn las_points_stand_on_z_with_their_colours() {
     fs::write(&path, &forged).unwrap();
     let text = open(&path, &opts("--voxel 1e-9")).err().unwrap().to_string();
     assert!(text.contains("columns, at most") || text.contains("voxels high"), "{text}");
+    // And an extended record of 32 TiB, as version 1.4 has them.
+    forged = good.clone();
+    forged[25] = 4;
+    forged.resize(500, 0);
+    forged[235..243].copy_from_slice(&400u64.to_le_bytes());
+    forged[243..247].copy_from_slice(&1u32.to_le_bytes());
+    forged[420..428].copy_from_slice(&(1u64 << 45).to_le_bytes());
+    fs::write(&path, &forged).unwrap();
+    let text = open(&path, &opts("--voxel 1")).err().unwrap().to_string();
+    assert!(text.contains("byte 400: LAS: extended record 0 of 1 claims 35184372088832 bytes of the 40"), "{text}");
     fs::write(&path, &good[..good.len() - 1]).unwrap();
     assert!(open(&path, &opts("--voxel 1")).err().unwrap().to_string().contains("LAS: "));
     fs::write(&path, b"LASF but no more").unwrap();
