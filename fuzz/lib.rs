@@ -20,8 +20,7 @@ pub fn import(format: Format, bytes: &[u8]) {
         up: (flags & 1 != 0).then_some(Up::Z),
         iso: (flags & 2 != 0).then_some(f64::from(*iso) - 64.0),
         // Meshes and clouds of points: few voxels, many runs.
-        size: (format != Format::Las).then_some(16),
-        voxel: (format == Format::Las).then_some(0.5),
+        size: Some(16),
         height_scale: (flags & 4 != 0).then_some(f64::from(*iso) / 16.0 - 2.0),
         ..ReadOptions::default()
     };

@@ -20,6 +20,10 @@ use crate::{Error, Input, Result};
 /// Points of a list that are written together.
 const TOGETHER: usize = 4096;
 
+/// Bytes of LAS points that are read together: a record may claim 64 KiB.
+#[cfg(feature = "las")]
+const AT_ONCE: u64 = 4 << 20;
+
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct Record {
@@ -56,7 +60,7 @@ impl Points {
         colored: bool,
         each: impl FnOnce(&mut dyn FnMut([f64; 3], [u16; 3]) -> Result<()>) -> Result<()>,
     ) -> Result<Points> {
-        let sides = [0, 1, 2].map(|a| ((high[a] - low[a]) * scale) as u64 + 1);
+        let sides = [0, 1, 2].map(|a| (((high[a] - low[a]) * scale) as u64).saturating_add(1));
         let dims = world_dims(path, sides, "give a larger --voxel")?;
         let mut file = tempfile::tempfile().map_err(scratch("create a file in"))?;
         let n_lists = dims[2].div_ceil(TILE) as usize;
@@ -113,6 +117,7 @@ impl Points {
     pub fn las(path: &Path, opts: &ReadOptions) -> Result<Points> {
         super::guarded(path, "LAS", || {
             let fail = |e: las::Error| Error::format(path, format!("LAS: {e}"));
+            check_extended(path)?;
             let mut reader = las::Reader::from_path(path).map_err(fail)?;
             let header = reader.header();
             let n = header.number_of_points();
@@ -121,6 +126,14 @@ impl Points {
             if n == 0 || ends.as_flattened().iter().any(|v| !v.is_finite()) {
                 return Err(Error::format(path, format!("LAS: {n} points between {:?} and {:?}", ends[0], ends[1])));
             }
+            // What the header claims, against the file before memory is asked for.
+            let record = u64::from(header.point_format().len());
+            let file_len = std::fs::metadata(path).map_or(0, |m| m.len());
+            if !header.point_format().is_compressed && n.checked_mul(record).is_none_or(|len| len > file_len) {
+                let claim = format!("{n} points of {record} bytes in a file of {file_len}");
+                return Err(Error::format(path, format!("byte 105: LAS: {claim}; it was cut short or is damaged")));
+            }
+            let at_once = (AT_ONCE / record.max(1)).clamp(1, 1 << 16);
             let up = opts.up.unwrap_or(Up::Z);
             let (low, high) = box_of(turn(up, ends[0]), turn(up, ends[1]));
             let scale = match (opts.voxel, opts.size) {
@@ -129,7 +142,7 @@ impl Points {
             };
             let mut points = Points::new(path, [low, high], scale, colored, |point| {
                 loop {
-                    let some = reader.read_points(1 << 16).map_err(fail)?;
+                    let some = reader.read_points(at_once).map_err(fail)?;
                     if some.is_empty() {
                         return Ok(());
                     }
@@ -140,10 +153,40 @@ impl Points {
                     }
                 }
             })?;
-            points.input_bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+            points.input_bytes = file_len;
             Ok(points)
         })
     }
+}
+
+/// Checks that the extended records of a LAS 1.4 file lie within it: their lengths are 64 bits, and the reader takes
+/// memory for what they claim.
+#[cfg(feature = "las")]
+fn check_extended(path: &Path) -> Result<()> {
+    use std::io::{Read, Seek, SeekFrom};
+    let failed = |e| Error::io(path, "read", e);
+    let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let file_len = file.metadata().map_err(failed)?.len();
+    let mut head = Vec::new();
+    file.by_ref().take(247).read_to_end(&mut head).map_err(failed)?;
+    // Shorter headers and older versions have none.
+    if head.len() < 247 || head[25] < 4 {
+        return Ok(());
+    }
+    let mut at = u64::from_le_bytes(head[235..243].try_into().expect("eight bytes"));
+    let n = u32::from_le_bytes(head[243..247].try_into().expect("four bytes"));
+    for i in 0..if at == 0 { 0 } else { n } {
+        let wrong = |what: String| Error::format(path, format!("byte {at}: LAS: extended record {i} of {n} {what}"));
+        let content = at.checked_add(60).filter(|&end| end <= file_len);
+        let content = content.ok_or_else(|| wrong("is not in the file; it was cut short or is damaged".into()))?;
+        let mut record = [0; 60];
+        file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut record)).map_err(failed)?;
+        let len = u64::from_le_bytes(record[20..28].try_into().expect("eight bytes"));
+        let end = content.checked_add(len).filter(|&end| end <= file_len);
+        let left = file_len - content;
+        at = end.ok_or_else(|| wrong(format!("claims {len} bytes of the {left} that are left; it is damaged")))?;
+    }
+    Ok(())
 }
 
 /// A place of the input in world axes.

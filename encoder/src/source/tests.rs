@@ -1124,6 +1124,34 @@ fn las_points_stand_on_z_with_their_colours() {
     assert!(input.columns.solid(0, 0, 1) && input.columns.solid(3, 9, 0));
     let Colors::Voxel { entries, .. } = input.colors else { panic!("no colours") };
     assert_eq!(entries, [(9, [1, 0, 0]), (0, [255, 0, 0])]);
+    // Found by fuzzing: points of 64 KiB that are not there, asked for 65,536 at a time.
+    let good = fs::read(&path).unwrap();
+    let mut forged = good.clone();
+    forged[105..107].copy_from_slice(&u16::MAX.to_le_bytes());
+    fs::write(&path, &forged).unwrap();
+    let text = open(&path, &opts("--voxel 1")).err().unwrap().to_string();
+    assert!(
+        text.contains("byte 105: LAS: 2 points of 65535 bytes in a file of") && text.contains("cut short"),
+        "{text}"
+    );
+    // And a cloud of more voxels than u64 counts.
+    forged = good.clone();
+    forged[179..187].copy_from_slice(&1e300f64.to_le_bytes());
+    fs::write(&path, &forged).unwrap();
+    let text = open(&path, &opts("--voxel 1e-9")).err().unwrap().to_string();
+    assert!(text.contains("columns, at most") || text.contains("voxels high"), "{text}");
+    // And an extended record of 32 TiB, as version 1.4 has them.
+    forged = good.clone();
+    forged[25] = 4;
+    forged.resize(500, 0);
+    forged[235..243].copy_from_slice(&400u64.to_le_bytes());
+    forged[243..247].copy_from_slice(&1u32.to_le_bytes());
+    forged[420..428].copy_from_slice(&(1u64 << 45).to_le_bytes());
+    fs::write(&path, &forged).unwrap();
+    let text = open(&path, &opts("--voxel 1")).err().unwrap().to_string();
+    assert!(text.contains("byte 400: LAS: extended record 0 of 1 claims 35184372088832 bytes of the 40"), "{text}");
+    fs::write(&path, &good[..good.len() - 1]).unwrap();
+    assert!(open(&path, &opts("--voxel 1")).err().unwrap().to_string().contains("LAS: "));
     fs::write(&path, b"LASF but no more").unwrap();
     assert!(open(&path, &opts("")).err().unwrap().to_string().contains("LAS: "));
 }
