@@ -168,7 +168,7 @@ fn check_extended(path: &Path) -> Result<()> {
     let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let file_len = file.metadata().map_err(failed)?.len();
     let mut head = Vec::new();
-    file.by_ref().take(247).read_to_end(&mut head).map_err(failed)?;
+    Read::by_ref(&mut file).take(247).read_to_end(&mut head).map_err(failed)?;
     // Shorter headers and older versions have none.
     if head.len() < 247 || head[25] < 4 {
         return Ok(());

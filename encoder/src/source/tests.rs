@@ -1106,6 +1106,7 @@ fn points_without_faces_are_a_voxel_each() {
     assert!([(0, 0, 0), (2, 1, 0), (4, 0, 7)].iter().all(|&(x, y, z)| c.solid(x, y, z)));
 }
 
+#[cfg(feature = "las")]
 #[test]
 fn las_points_stand_on_z_with_their_colours() {
     let mut builder = las::Builder::from((1, 2));
