@@ -73,6 +73,7 @@ pub mod resident;
 pub mod stability;
 pub mod tour;
 pub mod video;
+pub mod view;
 
 pub use camera::Camera;
 pub use error::{Error, Result};
