@@ -74,6 +74,7 @@ pub mod specialize;
 pub mod stability;
 pub mod tour;
 pub mod video;
+pub mod view;
 
 pub use camera::Camera;
 pub use error::{Error, Result};

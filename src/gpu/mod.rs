@@ -6,6 +6,7 @@
 
 pub mod bench;
 mod engine;
+pub mod present;
 mod resident;
 pub mod shaders;
 pub mod types;
@@ -14,7 +15,7 @@ use crate::camera::Camera;
 use crate::cpu::shade;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, StageTimes};
+use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Remap, Shading};
 use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
@@ -107,6 +108,7 @@ pub struct GpuRenderer<'a> {
     pending: VecDeque<Pending>,
     /// Read-back buffers that no frame is using.
     free: Vec<wgpu::Buffer>,
+    shown: present::Shown,
 }
 
 /// Where a frame begins.
@@ -129,15 +131,26 @@ enum Pending {
     Drawing(Box<Drawing>),
 }
 
+/// A frame as [`GpuRenderer::draw_from`] leaves it.
+enum Drawn {
+    /// One colour: the eye is inside a voxel.
+    Inside(Box<Frame>),
+    /// The picture is, or will be, in the buffer `shaded`.
+    Sent { plan: Plan, frame: Frame, start: Instant, setup_ms: f64 },
+}
+
 struct Drawing {
     frame: Frame,
     start: Instant,
     submission: wgpu::SubmissionIndex,
-    mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
+    mapped: Mapped,
     readback: wgpu::Buffer,
     parts: Parts,
     setup_ms: f64,
 }
+
+/// Tells when a read-back buffer is mapped.
+type Mapped = mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>;
 
 /// Where things stand in a read-back buffer, in bytes.
 #[derive(Clone, Copy, Default)]
@@ -191,6 +204,15 @@ impl<'a> GpuRenderer<'a> {
     /// Opens the adapter and uploads the scene. Without a usable adapter, or where the scene does not fit, the error says
     /// so.
     pub fn new(scene: &'a Scene, resident: &'a Resident, options: GpuOptions) -> Result<GpuRenderer<'a>> {
+        GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
+    }
+
+    fn with_engine(
+        scene: &'a Scene,
+        resident: &'a Resident,
+        options: GpuOptions,
+        engine: impl FnOnce() -> Result<Engine>,
+    ) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
             let invocation = options.kernel == Kernel::Invocation;
             let fits =
@@ -203,7 +225,7 @@ impl<'a> GpuRenderer<'a> {
                 )));
             }
         }
-        let engine = Engine::new(options.trusted)?;
+        let engine = engine()?;
         let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -213,7 +235,8 @@ impl<'a> GpuRenderer<'a> {
             })
         });
         let (buffers, pending, free) = (HashMap::new(), VecDeque::new(), Vec::new());
-        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free })
+        let shown = present::Shown::default();
+        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free, shown })
     }
 
     /// The adapter's name, and its driver.
@@ -332,6 +355,15 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
+        match self.draw_from(begin, camera, options, outputs)? {
+            Drawn::Inside(frame) => self.pending.push_back(Pending::Done(frame)),
+            Drawn::Sent { plan, frame, start, setup_ms } => self.read_back(&plan, frame, start, setup_ms)?,
+        }
+        Ok(())
+    }
+
+    /// Sends a frame's stages to the device; the picture stays there.
+    fn draw_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Drawn> {
         check(camera, options)?;
         if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
             let fixed = shade::SSAO_SAMPLES;
@@ -345,8 +377,7 @@ impl<'a> GpuRenderer<'a> {
             frame.stats.cpu_ms = None;
             frame.stats.gpu_ms = Some(StageTimes::default());
             frame.stats.bytes_scene_gpu = self.tables.bytes;
-            self.pending.push_back(Pending::Done(Box::new(frame)));
-            return Ok(());
+            return Ok(Drawn::Inside(Box::new(frame)));
         }
         let setup = plane_setup(self.resident, camera, options);
         self.check_steps(&setup, options)?;
@@ -392,7 +423,7 @@ impl<'a> GpuRenderer<'a> {
         frame.stats.levels_drawn = setup.levels;
         frame.stats.left_out = plan.specialization.left_out();
         frame.stats.bytes_scene_gpu = self.tables.bytes;
-        self.read_back(&plan, frame, start, setup_ms)
+        Ok(Drawn::Sent { plan, frame, start, setup_ms })
     }
 }
 
@@ -509,7 +540,9 @@ impl Plan {
         self.sparse && !self.retest && self.kernel != Kernel::Raycast
     }
 
-    fn parts(&self) -> Parts {
+    /// What is read back, with the picture or only the figures.
+    fn parts(&self, picture: bool) -> Parts {
+        let pixels = if picture { self.pixels() } else { 0 };
         let mut at = 0u64;
         let mut take = |bytes: u64| {
             let from = at;
@@ -517,9 +550,9 @@ impl Plan {
             from
         };
         Parts {
-            color: take(4 * self.pixels()),
-            depth: take(4 * self.pixels()),
-            voxel: take(if self.image_voxel { 16 * self.pixels() } else { 0 }),
+            color: take(4 * pixels),
+            depth: take(4 * pixels),
+            voxel: take(if self.image_voxel { 16 * pixels } else { 0 }),
             counters: take(12 * u64::from(self.n_counters)),
             holes: take(4),
             times: take(8 * u64::from(TIMES)),
@@ -734,7 +767,7 @@ impl GpuRenderer<'_> {
 
     /// Copies what is asked for into a read-back buffer and asks for it to be mapped; does not wait.
     fn read_back(&mut self, plan: &Plan, frame: Frame, start: Instant, setup_ms: f64) -> Result<()> {
-        let parts = plan.parts();
+        let parts = plan.parts(true);
         let place = self.free.iter().position(|b| b.size() >= parts.end);
         let readback = match place {
             Some(i) => self.free.swap_remove(i),
@@ -750,16 +783,26 @@ impl GpuRenderer<'_> {
                 })?
             }
         };
+        let (submission, mapped) = self.ask(plan, parts, &readback);
+        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
+        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
+        Ok(())
+    }
+
+    /// Copies a frame's parts into a read-back buffer and asks for it to be mapped.
+    fn ask(&self, plan: &Plan, parts: Parts, readback: &wgpu::Buffer) -> (wgpu::SubmissionIndex, Mapped) {
+        // Figures alone begin with the counters.
+        let pixels = if parts.counters > 0 { plan.pixels() } else { 0 };
         // A submission of its own: timestamps copied in the one that resolves them can read 0 (wgpu issue 6406).
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut copy = |name: &str, at: u64, bytes: u64| {
             if bytes > 0 {
-                encoder.copy_buffer_to_buffer(&self.buffers[name], 0, &readback, at, bytes);
+                encoder.copy_buffer_to_buffer(&self.buffers[name], 0, readback, at, bytes);
             }
         };
-        copy("shaded", parts.color, 4 * plan.pixels());
-        copy("image_depth", parts.depth, 4 * plan.pixels());
-        copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * plan.pixels() } else { 0 });
+        copy("shaded", parts.color, 4 * pixels);
+        copy("image_depth", parts.depth, 4 * pixels);
+        copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
         copy("scratch", parts.counters, 12 * u64::from(plan.n_counters));
         copy("holes", parts.holes, 4);
         copy("times", parts.times, 8 * u64::from(TIMES));
@@ -769,9 +812,7 @@ impl GpuRenderer<'_> {
             // The renderer may be gone by now: then nobody waits for the answer.
             let _ = send.send(result);
         });
-        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
-        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
-        Ok(())
+        (submission, mapped)
     }
 
     fn finish(&mut self, drawing: Drawing) -> Result<Frame> {
@@ -790,16 +831,22 @@ impl GpuRenderer<'_> {
             if parts.counters > parts.voxel {
                 frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
             }
-            let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
-            let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
-            (frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn) = (sum(0), sum(1), sum(2));
-            frame.stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
-            let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
-            frame.stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+            self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
         }
         readback.unmap();
         self.free.push(readback);
         Ok(frame)
+    }
+
+    /// Fills in what the device counted and timed, from a read-back buffer.
+    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) {
+        let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
+        let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
+        let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
+        (stats.columns_visited, stats.runs_visited, stats.spans_drawn) = (sum(0), sum(1), sum(2));
+        stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
+        let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
+        stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
     }
 
     /// Milliseconds by stage; without timestamps only what the host sees.
