@@ -144,6 +144,8 @@ pub const MAGIC: [u8; 8] = *b"\x89PCV\r\n\x1a\n";
 pub const VERSION: [u16; 2] = [1, 0];
 /// Of files with compressed tiles.
 pub const VERSION_COMPRESSED: [u16; 2] = [2, 0];
+/// Of files with specialized tiles.
+pub const VERSION_SPECIALIZED: [u16; 2] = [3, 0];
 /// Columns of a tile along x and z.
 pub const TILE: u32 = 256;
 /// Blobs start at multiples of this in the file, sections in their blob.
@@ -154,6 +156,8 @@ pub const MAX_COLUMNS: u64 = 1 << 31;
 pub const EMPTY: u32 = 1;
 /// [`TileEntry::flags`]: the blob is a zstd frame.
 pub const COMPRESSED: u32 = 2;
+/// [`TileEntry::flags`]: the blob has forms other than those of the general layout.
+pub const SPECIALIZED: u32 = 4;
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
@@ -244,7 +248,17 @@ impl Section {
         }
     }
 
-    /// The bit of [`BlobHeader::long`] for a table.
+    /// The section that a table leads into; itself for others.
+    pub fn columns(self) -> Section {
+        match self {
+            Section::GeometryTable => Section::Geometry,
+            Section::ExposureTable => Section::Exposure,
+            Section::ColorTable => Section::Colors,
+            section => section,
+        }
+    }
+
+    /// The bit of [`BlobHeader::forms`] that says that a table is a long one.
     pub fn long_bit(self) -> u32 {
         match self {
             Section::GeometryTable => 1,
@@ -260,7 +274,8 @@ impl Section {
 pub struct BlobHeader {
     pub width: u16,
     pub depth: u16,
-    pub long: u32,
+    /// Which forms the sections have.
+    pub forms: u32,
     /// `[offset, len]`, by [`Section`].
     pub sections: [[u32; 2]; 7],
 }
@@ -350,7 +365,7 @@ mod tests {
         assert_eq!(size_of::<BlobHeader>(), 64);
         assert_eq!(offset_of!(BlobHeader, width), 0);
         assert_eq!(offset_of!(BlobHeader, depth), 2);
-        assert_eq!(offset_of!(BlobHeader, long), 4);
+        assert_eq!(offset_of!(BlobHeader, forms), 4);
         assert_eq!(offset_of!(BlobHeader, sections), 8);
     }
 
