@@ -646,7 +646,7 @@ mod tests {
     use super::*;
     use crate::pieces::InMemory;
     use crate::write::write_scene;
-    use crate::{MipRule, PcastFile, build, testing};
+    use crate::{Feature, MipRule, PcastFile, build, testing};
 
     /// Three tiles on both axes, the last ones narrow; runs of all kinds.
     fn world() -> Columns {
@@ -843,6 +843,34 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn merge_and_resume_keep_to_what_tiles_may_leave_out() {
+        let dir = tempfile::tempdir().unwrap();
+        let (whole, path) = (dir.path().join("whole.pcast"), dir.path().join("a.pcast"));
+        for build in modes() {
+            let mut sizes = Vec::new();
+            let tables = Features::from_iter([Feature::Tables]);
+            for (features, version) in [(Features::OFF, 1), (tables, 3), (Features::ALL, 3)] {
+                let opts = EncodeOptions { features, ..options(build, 1) };
+                encode(&InMemory::new(testing::input(world(), true)), &opts, &whole, &Watch::default()).unwrap();
+                let expected = std::fs::read(&whole).unwrap();
+                assert_eq!(expected[8], version);
+                let parts = parts(dir.path(), &opts, &[0..5, 5..9]);
+                merge(&parts, Some(1), None, &path, &Watch::default()).unwrap();
+                assert!(std::fs::read(&path).unwrap() == expected, "{build:?} {features}");
+                sizes.push(expected.len());
+            }
+            assert!(sizes.is_sorted_by(|a, b| a > b), "{build:?} {sizes:?}");
+        }
+        let opts = |features| EncodeOptions { features, ..options(BuildOptions::default(), 1) };
+        let mut mixed = parts(dir.path(), &opts(Features::OFF), std::slice::from_ref(&(0..5)));
+        let sub = dir.path().join("sub");
+        std::fs::create_dir(&sub).unwrap();
+        mixed.extend(parts(&sub, &opts(Features::ALL), std::slice::from_ref(&(5..9))));
+        let refused = merge(&mixed, None, None, &path, &Watch::default()).unwrap_err().to_string();
+        assert!(refused.contains("a part of another scene than"), "{refused}");
     }
 
     #[test]

@@ -202,7 +202,7 @@ impl Forms {
         let (lists, base) = match self.lists {
             lists if lists == Lists::general(ny) => (0, 0),
             Lists::Runs { form: Form::Narrow, base } => (1, base),
-            Lists::Runs { base, .. } => (2, base),
+            Lists::Runs { .. } => (2, 0),
             Lists::Heights { bytes, base } => (3 + bytes as u32, base),
         };
         word | lists << 11 | (self.painted as u32) << 14 | base << 16
@@ -409,5 +409,69 @@ impl HeightBytes {
 
     pub fn heights(&self, width: usize, depth: usize) -> Heights<'_> {
         Heights { width, depth, bytes: self.bytes, base: self.base, above: &self.above, edges: &self.edges }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forms_words_are_read_as_they_are_written_and_no_others_are_read() {
+        for ny in [1, 9, 256, 257, 65_536] {
+            let mut read = 0;
+            for word in (0..0x1_0000).flat_map(|low: u32| [0, 1, 8, 256, 65_535].map(|base| low | base << 16)) {
+                if let Some(forms) = Forms::unpack(word, ny) {
+                    assert_eq!(forms.pack(ny), word);
+                    assert!(word >> 16 <= ny);
+                    read += 1;
+                }
+            }
+            assert!(read > 1000, "{ny} {read}");
+            for long in 0..=GENERAL {
+                let forms = Forms::unpack(long, ny).unwrap();
+                assert_eq!((forms.lists, forms.painted), (Lists::general(ny), Painted::Each));
+            }
+        }
+        // Two forms of one table; a group without a grouped table; a base where none is.
+        for word in [1 | 8, 64 | 1, 1 << 9, 3 << 9 | 64, 5 << 16, 6 << 11, 2 << 11 | 5 << 16] {
+            assert_eq!(Forms::unpack(word, 300), None, "{word:#x}");
+        }
+    }
+
+    #[test]
+    fn forms_edges_of_a_tile_are_numbered_in_order() {
+        for (width, depth) in [(1, 1), (1, 5), (5, 1), (2, 2), (2, 7), (3, 3), (9, 4)] {
+            let numbers: Vec<usize> = (0..width * depth).filter_map(|ix| edge(width, depth, ix)).collect();
+            assert_eq!(numbers, (0..n_edges(width, depth)).collect::<Vec<_>>(), "{width} x {depth}");
+        }
+    }
+
+    #[test]
+    fn forms_heights_refuse_exposure_that_they_do_not_imply() {
+        let solid = Columns::from_fn(5, 9, 5, |x, y, _| y < 3 + x);
+        let exposed = crate::exposure::exposed(&solid);
+        assert!(HeightBytes::of(&solid, Some(&exposed)).is_some());
+        // As beside a tile with a cave: another voxel is shown, or not, at the edge and inside.
+        for (x, z) in [(4, 2), (3, 2)] {
+            let other =
+                Columns::from_fn(5, 9, 5, |a, y, b| exposed.find(a, y, b).is_some() != ((a, y, b) == (x, 2, z)));
+            assert_ne!(exposed, other);
+            assert!(HeightBytes::of(&solid, Some(&other)).is_none(), "({x}, {z})");
+        }
+        assert!(HeightBytes::of(&Columns::from_fn(2, 9, 1, |x, y, _| y < 3 && y >= x), None).is_none());
+    }
+
+    #[test]
+    fn forms_features_are_named_as_they_are_read() {
+        for features in (0..16).map(|code| Features::from_code(code).unwrap()) {
+            assert_eq!(features.to_string().parse(), Ok(features));
+        }
+        assert_eq!("colors,heights".parse::<Features>().unwrap().to_string(), "heights,colors");
+        assert_eq!(
+            "heigths".parse::<Features>().unwrap_err(),
+            "\"heigths\" is no feature; expected auto, off, or some of heights, lists, tables, colors with commas between"
+        );
+        assert_eq!(Features::from_code(16), None);
     }
 }
