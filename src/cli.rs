@@ -30,8 +30,8 @@ use crate::report;
 use crate::stability;
 use crate::tour::{self, View};
 use crate::{
-    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
-    renderer,
+    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output,
+    pick, renderer,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -289,7 +289,7 @@ pub struct DrawArgs {
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
     /// What may be left out where the frame does not need it, for measuring: auto, off, or some of
-    /// heights,horizon,bounded,one-level,upright
+    /// heights,horizon,bounded,one-level,upright,packed,late-color
     #[arg(long, value_name = "LIST", value_parser = features, default_value = "auto")]
     specialize: Features,
     /// Draw a scene with broken tiles, those as empty

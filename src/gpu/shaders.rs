@@ -23,6 +23,7 @@ const FILES: &[(&str, &str)] = files![
     "shared/scene.wgsl",
     "shared/sight.wgsl",
     "shared/place.wgsl",
+    "shared/sample.wgsl",
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
@@ -86,7 +87,9 @@ fn header() -> String {
         let _ = writeln!(out, "override {name}: bool = true;");
     }
     // What a frame can do without: `specialize::Feature`.
-    out.push_str("override REPEATS: bool = true;\noverride ONE_LEVEL: bool = false;\noverride UPRIGHT: bool = false;\n");
+    out.push_str(
+        "override REPEATS: bool = true;\noverride ONE_LEVEL: bool = false;\noverride UPRIGHT: bool = false;\n",
+    );
     out
 }
 
@@ -184,7 +187,7 @@ mod tests {
         for pages in [one, many] {
             for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
                 for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS"]] {
-                    for remap in [&[][..], &["RETEST"], &["INDEX"], &["GATHER"]] {
+                    for remap in [&[][..], &["RETEST"], &["RETEST", "PACKED", "LATE_COLOR"], &["INDEX"], &["GATHER"]] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
                     }
                 }
