@@ -55,6 +55,8 @@ pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 #[cfg(feature = "report")]
+mod json_lines;
+#[cfg(feature = "report")]
 pub mod machine;
 pub mod options;
 pub mod output;
