@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use planecast_encoder::info::{self, ByteCounts};
-use planecast_encoder::{PcastFile, Scene};
+use planecast_encoder::{PcastFile, Scene, source};
 
 use crate::resident::Resident;
 use crate::{Error, Result};
@@ -12,7 +12,7 @@ use crate::{Error, Result};
 #[cfg(not(target_arch = "wasm32"))]
 use {
     planecast_encoder::encode::{self, EncodeOptions, Watch},
-    planecast_encoder::source::{self, ReadOptions},
+    planecast_encoder::source::ReadOptions,
     std::io::Read,
 };
 
@@ -54,7 +54,7 @@ impl World {
         if is_scene(&bytes) {
             return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false);
         }
-        let input = planecast_encoder::source::read(name, &bytes, &Default::default())?;
+        let input = source::read(name, &bytes, &Default::default())?;
         World::of_input(name, input)
     }
 
