@@ -55,7 +55,9 @@ fn instance() -> wgpu::Instance {
 }
 
 fn surface(instance: &wgpu::Instance, window: &Arc<Window>) -> Result<wgpu::Surface<'static>> {
-    instance.create_surface(window.clone()).map_err(|e| Error::Device(format!("no surface for the window: {e}")))
+    instance.create_surface(window.clone()).map_err(|_| {
+        Error::Device("no GPU adapter can draw in this window: install a Vulkan, Metal or DX12 driver".into())
+    })
 }
 
 impl Canvas {
@@ -101,7 +103,7 @@ impl Canvas {
         self.surface.configure(&self.device.device, &self.config);
     }
 
-    /// A kernel's vsync on or off.
+    /// Whether frames wait for the monitor.
     pub fn set_vsync(&mut self, on: bool) {
         let mode = if on { wgpu::PresentMode::AutoVsync } else { wgpu::PresentMode::AutoNoVsync };
         if self.config.present_mode != mode {
@@ -281,7 +283,14 @@ impl Plain {
     }
 
     /// Shows a picture of `size` pixels on a window of `surface` pixels, the nearest pixel where they differ.
-    pub fn show(&mut self, pixels: &[[u8; 4]], size: [u32; 2], surface: [u32; 2]) -> Result<()> {
+    /// `grab` gets what is shown.
+    pub fn show(
+        &mut self,
+        pixels: &[[u8; 4]],
+        size: [u32; 2],
+        surface: [u32; 2],
+        grab: Option<&mut Vec<[u8; 4]>>,
+    ) -> Result<()> {
         let failed = |e: softbuffer::SoftBufferError| Error::Device(format!("cannot draw in the window: {e}"));
         let [Some(w), Some(h)] = surface.map(NonZeroU32::new) else { return Ok(()) };
         self.surface.resize(w, h).map_err(failed)?;
@@ -293,6 +302,9 @@ impl Plain {
                 let [r, g, b, _] = pixels[from + at(x, size[0], surface[0])];
                 *out = u32::from_be_bytes([0, r, g, b]);
             }
+        }
+        if let Some(out) = grab {
+            *out = buffer.iter().map(|p| p.to_be_bytes()).map(|[_, r, g, b]| [r, g, b, 255]).collect();
         }
         buffer.present().map_err(failed)
     }

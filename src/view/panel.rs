@@ -144,13 +144,16 @@ impl Panel {
         let paint = ui.painter_at(rect);
         paint.rect_filled(rect, 2.0, Color32::from_black_alpha(120));
         let total = |c: &Cost| c.parts().iter().sum::<f64>();
-        let most = self.costs.iter().map(total).fold(0.01, f64::max);
+        // The few slowest, as those that compile shaders, go beyond the top.
+        let mut sorted: Vec<f64> = self.costs.iter().map(total).collect();
+        sorted.sort_by(f64::total_cmp);
+        let most = sorted.get(sorted.len() * 19 / 20).map_or(0.01, |ms| (1.2 * ms).max(0.01));
         let width = rect.width() / FRAMES as f32;
         for (i, cost) in self.costs.iter().enumerate() {
             let x = rect.left() + width * i as f32;
             let mut y = rect.bottom();
             for (ms, (_, color)) in cost.parts().into_iter().zip(PARTS) {
-                let h = (ms / most) as f32 * (rect.height() - 2.0);
+                let h = (ms / most).min(2.0) as f32 * (rect.height() - 2.0);
                 let bar = egui::Rect::from_min_max(egui::pos2(x, y - h), egui::pos2(x + width, y));
                 paint.rect_filled(bar, 0.0, color);
                 y -= h;
@@ -379,11 +382,11 @@ fn words(ctx: &egui::Context, subject: &Subject<'_>) {
     if subject.words.is_empty() && subject.progress.is_none() {
         return;
     }
-    egui::Area::new(egui::Id::unique("words")).anchor(Align2::CENTER_BOTTOM, [0.0, -16.0]).interactable(false).show(
+    egui::Area::new(egui::Id::unique("words")).anchor(Align2::RIGHT_BOTTOM, [-12.0, -12.0]).interactable(false).show(
         ctx,
         |ui| {
             egui::Frame::popup(ui.style()).show(ui, |ui| {
-                ui.set_max_width(ctx.content_rect().width() * 0.9);
+                ui.set_max_width((ctx.content_rect().width() * 0.6).min(640.0));
                 for line in subject.words {
                     ui.label(line);
                 }

@@ -52,13 +52,17 @@ const RESIZE: Duration = Duration::from_secs(10);
 /// Opens the window and stays until it is closed.
 pub fn run(settings: Settings) -> Result<()> {
     let script = settings.script.as_ref().map(|path| Script::read(path)).transpose()?;
-    let no_window = |e: &dyn std::fmt::Display| {
-        Error::Device(format!("no window can be opened ({e}); planecast render and fly need none"))
-    };
     let event_loop = EventLoop::new().map_err(|e| no_window(&e))?;
     let mut app = App::new(settings, script);
     event_loop.run_app(&mut app).map_err(|e| no_window(&e))?;
     app.outcome
+}
+
+fn no_window(error: &dyn std::fmt::Display) -> Error {
+    let text = error.to_string();
+    // winit begins with the place in its own source.
+    let why = text.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": ")).map_or(text.as_str(), |(_, why)| why);
+    Error::Device(format!("no window can be opened: {}; planecast render and fly need none", why.trim_end_matches('.')))
 }
 
 /// The window and what shows in it.
@@ -221,9 +225,7 @@ impl App {
             .with_title("planecast")
             .with_inner_size(PhysicalSize::new(width, height))
             .with_fullscreen(full);
-        let window = event_loop
-            .create_window(attributes)
-            .map_err(|e| Error::Device(format!("no window can be opened ({e}); planecast render needs none")))?;
+        let window = event_loop.create_window(attributes).map_err(|e| no_window(&e))?;
         let window = Arc::new(window);
         self.size = window.inner_size().into();
         let surface = self.surface(&window)?;
@@ -852,7 +854,11 @@ impl App {
                 // There is no panel here: what there is to say goes to the title.
                 screen.window.set_title(&format!("planecast - {}", lines.join(" - ")));
                 if let Some(pixels) = here {
-                    plain.show(pixels, picture_size, size)?;
+                    let mut grabbed = Vec::new();
+                    plain.show(pixels, picture_size, size, self.grab.as_ref().map(|_| &mut grabbed))?;
+                    if let Some(path) = self.grab.take() {
+                        save(&path, size, grabbed)?;
+                    }
                 }
                 return Ok(());
             }
@@ -901,16 +907,7 @@ impl App {
                 self.shown.retain(|t| now - *t < Duration::from_secs(1));
                 self.panel.fps = self.shown.len() as f64;
                 if let Some(path) = self.grab.take() {
-                    let [width, height] = surface;
-                    let frame = Frame {
-                        width,
-                        height,
-                        color: grabbed,
-                        depth: Vec::new(),
-                        voxel: Vec::new(),
-                        stats: Stats::default(),
-                    };
-                    output::write(&path, |out| output::png(out, &frame))?.finish()?;
+                    save(&path, surface, grabbed)?;
                 }
             }
             Shown::Later => std::thread::sleep(Duration::from_millis(20)),
@@ -938,6 +935,14 @@ fn gui(window: &Arc<Window>, surface: &Surface) -> (egui_winit::State, egui::Con
     let scale = Some(window.scale_factor() as f32);
     let state = egui_winit::State::new(ctx.clone(), egui::ViewportId::ROOT, window, scale, None, limit);
     (state, ctx)
+}
+
+/// Writes pixels as a picture.
+fn save(path: &Path, [width, height]: [u32; 2], color: Vec<[u8; 4]>) -> Result<()> {
+    let (depth, voxel, stats) = (Vec::new(), Vec::new(), Stats::default());
+    let frame = Frame { width, height, color, depth, voxel, stats };
+    output::write(path, |out| output::png(out, &frame))?.finish()?;
+    Ok(())
 }
 
 /// A file name in the folder of the command that no file has yet.

@@ -51,7 +51,7 @@ impl World {
 
     /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
     pub fn from_bytes(name: &Path, bytes: Vec<u8>) -> Result<World> {
-        if is_scene(&bytes) {
+        if is_scene(&bytes) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
             return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false);
         }
         let input = source::read(name, &bytes, &Default::default())?;
@@ -76,7 +76,8 @@ impl World {
             let mut head = Vec::new();
             let file = std::fs::File::open(path).map_err(failed)?;
             file.take(16).read_to_end(&mut head).map_err(failed)?;
-            if is_scene(&head) {
+            // What calls itself a scene is told what is wrong with it as one.
+            if is_scene(&head) || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
                 return World::of_file(&PcastFile::open(path)?, path, false, skip_broken);
             }
         }
@@ -177,6 +178,8 @@ mod tests {
         let open = |name: &str| World::open(Path::new(name), &ReadOptions::default(), false, &Watch::default());
         assert!(open("/no/such/file").err().unwrap().to_string().contains("/no/such/file"));
         assert!(open("procedural:nothing").is_err());
+        let other = World::from_bytes(Path::new("b.pcast"), b"garbage".to_vec());
+        assert!(other.err().unwrap().to_string().starts_with("b.pcast"));
         let broken = World::from_bytes(Path::new("b.pcast"), planecast_encoder::format::MAGIC.to_vec());
         assert!(broken.err().unwrap().to_string().contains("b.pcast"));
     }
