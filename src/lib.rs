@@ -70,6 +70,7 @@ pub mod renderer;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod resident;
+pub mod specialize;
 pub mod stability;
 pub mod tour;
 pub mod video;
@@ -83,3 +84,4 @@ pub use gpu::{GpuOptions, GpuRenderer, Kernel};
 pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
 pub use renderer::{CpuRenderer, Outputs};
 pub use resident::Resident;
+pub use specialize::{Feature, Features};

@@ -1,6 +1,7 @@
 //! What a picture is drawn with.
 
 use crate::cpu::shade::SSAO_SAMPLES;
+use crate::specialize::Features;
 
 /// Neighbours that occlusion may look at.
 pub const SSAO_SAMPLES_LIMIT: u32 = 64;
@@ -88,6 +89,8 @@ pub struct Options {
     pub ssao_samples: u32,
     /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
     pub fog: Option<f64>,
+    /// What may be left out where the frame does not need it; the picture is the same.
+    pub specialize: Features,
 }
 
 impl Default for Options {
@@ -106,6 +109,7 @@ impl Default for Options {
             shading: Shading::Full,
             ssao_samples: SSAO_SAMPLES,
             fog: None,
+            specialize: Features::ALL,
         }
     }
 }
@@ -146,6 +150,7 @@ impl Options {
         add(o.shading != usual.shading, format!("--shading {shading}"));
         add(o.ssao_samples != usual.ssao_samples, format!("--ssao-samples {}", o.ssao_samples));
         add(o.fog.is_some(), format!("--fog {}", o.fog.unwrap_or_default()));
+        add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));
         flags.join(" ")
     }
 }

@@ -5,9 +5,10 @@ use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
 use crate::cpu::{gap_fill, remap, shade, traverse};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Planes, Remap, SSAO_SAMPLES_LIMIT, Shading};
+use crate::options::{Options, Planes, SSAO_SAMPLES_LIMIT, Shading};
 use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
+use crate::specialize::{Specialization, Twin};
 use planecast_encoder::{ColorMode, Scene};
 use std::time::Instant;
 
@@ -99,8 +100,7 @@ impl<'a> CpuRenderer<'a> {
         let setup_ms = milliseconds(start);
 
         let at = Instant::now();
-        // Where planes are pixel columns, a pixel's own sample is its own ray.
-        let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
+        let retest = setup.retests(camera, options);
         let voxels = outputs.voxel || retest;
         let traverse = if options.f64_traversal { traverse::traverse::<f64> } else { traverse::traverse::<f32> };
         let counters = traverse(self.resident, &setup, options.culling, &mut self.buffer, voxels);
@@ -119,6 +119,7 @@ impl<'a> CpuRenderer<'a> {
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
         frame.stats.levels_drawn = setup.levels;
+        frame.stats.left_out = Specialization::new(self.resident, &setup, camera, options, Twin::Cpu).left_out();
         [frame.stats.holes, _] = holes;
         frame.stats.count(counters);
         frame.stats.cpu_ms = Some(StageTimes {
@@ -172,7 +173,7 @@ impl<'a> CpuRenderer<'a> {
         let width = frame.width;
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
-        if retest && (!sparse || options.gap_fill) {
+        if retest {
             let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
             remap::remap_retest(setup, &self.buffer, camera, color, depth, voxel);
             for v in voxel {

@@ -15,7 +15,7 @@ use crate::pieces::{Grey, Pieces};
 use crate::source::{self, ReadOptions};
 use crate::write::{keep_input, resolved};
 use crate::{
-    BuildOptions, ColorMode, Encoding, Error, MipRule, PcastFile, Result, Scene, format, info, memory, verify,
+    BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, info, memory, verify,
 };
 
 /// Exit status where the input, the scene or the machine was at fault.
@@ -62,6 +62,9 @@ pub struct EncodeArgs {
     /// Compress tiles with zstd, at this level; such a scene is read more slowly
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
     pub zstd: Option<i32>,
+    /// What tiles may leave out that they do not need: auto (whatever it is), off, or some of heights, lists, tables, colors
+    #[arg(long, value_name = "off|FEATURE,...", default_value_t)]
+    pub specialize: Features,
     /// Only print what there is to do, as JSON: size, and number of tiles of level 0
     #[arg(long)]
     pub plan: bool,
@@ -108,6 +111,7 @@ impl EncodeArgs {
         }
         let opts = EncodeOptions {
             build: BuildOptions { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule },
+            features: self.specialize,
             memory: self.memory,
             resume: self.resume,
             compress: self.zstd,

@@ -15,8 +15,15 @@
 //!                                               n × { lo u8, coff u8 }
 //! ```
 //!
+//! ```text
+//! flat (tiles of higher levels, where shorter)
+//!   n × { start u16, color u16 }            color: voxels in runs before
+//!   total u16      voxels mod 65,536, 0 is 65,536
+//! ```
+//!
 //! A column without runs has no bytes. Deviates: `first` is not in the paper; with it a point query is two binary
-//! searches and no sum. The narrow form leaves the first level away: there is one bucket, and `word` is 0.
+//! searches and no sum. The narrow form leaves the first level away: there is one bucket, and `word` is 0. The flat form
+//! has none either: it is the shorter one where buckets hold few runs.
 
 use crate::Run;
 
@@ -25,17 +32,34 @@ const BUCKET: usize = 6;
 /// Bytes of the wide form beside buckets and runs: `m` and `total`.
 const WIDE_FIXED: usize = 4;
 
-/// Which of the two forms the columns of a level have.
+/// Bytes of a run of the flat form.
+const FLAT_RUN: usize = 4;
+
+/// Which form the columns of a tile have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     Narrow,
     Wide,
+    Flat,
 }
 
 impl Form {
-    /// The form of columns `ny` high.
+    /// The form of columns `ny` high, unless a tile says otherwise.
     pub fn of(ny: u32) -> Form {
         if ny <= 256 { Form::Narrow } else { Form::Wide }
+    }
+
+    /// Bytes that [`encode`] takes for a column.
+    pub fn len(self, runs: &[Run]) -> usize {
+        match self {
+            _ if runs.is_empty() => 0,
+            Form::Narrow => 2 * runs.len() + 1,
+            Form::Wide => {
+                let buckets = runs.chunk_by(|a, b| a.first() >> 8 == b.first() >> 8).count();
+                WIDE_FIXED + BUCKET * buckets + 2 * runs.len()
+            }
+            Form::Flat => FLAT_RUN * runs.len() + 2,
+        }
     }
 }
 
@@ -95,6 +119,14 @@ pub fn encode(runs: &[Run], form: Form, out: &mut Vec<u8>) {
                 }
             }
         }
+        Form::Flat => {
+            for run in runs {
+                out.extend(run.first().to_le_bytes());
+                out.extend((before as u16).to_le_bytes());
+                before += run.len();
+            }
+            out.extend((total as u16).to_le_bytes());
+        }
     }
 }
 
@@ -153,7 +185,41 @@ pub fn decode(bytes: &[u8], form: Form, ny: u32, out: &mut Vec<Run>) -> Result<(
             }
             Ok(())
         }
+        Form::Flat => {
+            if bytes.len() < FLAT_RUN + 2 || bytes.len() % FLAT_RUN != 2 {
+                return fault(0, format!("{} bytes; a flat column has 4 a run and 2", bytes.len()));
+            }
+            let n = bytes.len() / FLAT_RUN;
+            let at = |i: usize| get_u16(bytes, FLAT_RUN * i).expect("in bounds");
+            let color = |i: usize| get_u16(bytes, FLAT_RUN * i + 2).expect("in bounds");
+            if color(0) != 0 {
+                return fault(2, format!("first colour offset {}, 0 was expected", color(0)));
+            }
+            for i in 0..n {
+                let next = if i + 1 < n { color(i + 1) } else { wrap(at(n), 65_536) };
+                list.run(FLAT_RUN * i, FLAT_RUN * i + 2, at(i), color(i), next)?;
+            }
+            Ok(())
+        }
     }
+}
+
+/// Runs and voxels of a column. On bytes that [`decode`] would refuse the answer is arbitrary, but there is no panic.
+pub fn count(bytes: &[u8], form: Form) -> [usize; 2] {
+    if bytes.is_empty() {
+        return [0; 2];
+    }
+    let (runs, total) = match form {
+        Form::Narrow => (bytes.len() / 2, wrap(u32::from(bytes[bytes.len() - 1]), 256)),
+        Form::Wide => {
+            let lists = WIDE_FIXED + BUCKET * get_u16(bytes, 0).unwrap_or(0) as usize;
+            (bytes.len().saturating_sub(lists) / 2, wrap(get_u16(bytes, lists - 2).unwrap_or(0), 65_536))
+        }
+        Form::Flat => {
+            (bytes.len() / FLAT_RUN, wrap(get_u16(bytes, bytes.len().saturating_sub(2)).unwrap_or(0), 65_536))
+        }
+    };
+    [runs, total as usize]
 }
 
 /// The run that holds voxel `y`: its number in the column and the voxel's own colour position.
@@ -202,6 +268,16 @@ pub fn at_or_below(bytes: &[u8], form: Form, y: u32) -> Option<Place> {
             };
             let start = bucket.hi * 256 + u32::from(lo);
             let run = (bucket.first + i) as usize;
+            Some(Place { run, start, len: end.saturating_sub(color), color })
+        }
+        Form::Flat => {
+            let n = bytes.len() / FLAT_RUN;
+            let run = after(n, |i| get_u16(bytes, FLAT_RUN * i).is_some_and(|start| start <= y)).checked_sub(1)?;
+            let (start, color) = (get_u16(bytes, FLAT_RUN * run)?, get_u16(bytes, FLAT_RUN * run + 2)?);
+            let end = match run + 1 < n {
+                true => get_u16(bytes, FLAT_RUN * run + 6)?,
+                false => wrap(get_u16(bytes, FLAT_RUN * n)?, 65_536),
+            };
             Some(Place { run, start, len: end.saturating_sub(color), color })
         }
     }
@@ -270,22 +346,28 @@ impl Checker<'_> {
             let at = at + 2 * i;
             let (start, color) = (base + u32::from(entries[2 * i]), word + u32::from(entries[2 * i + 1]));
             let next = if i + 1 < n { word + u32::from(entries[2 * i + 3]) } else { next_word };
-            if next <= color {
-                return fault(at + 1, format!("colour offset {color} before {next}; colour offsets ascend"));
-            }
-            let end = start + (next - color);
-            if end > self.ny {
-                return fault(at, format!("run from {start} to {end}, the column is {} high", self.ny));
-            }
-            if self.end.is_some_and(|before| start <= before) {
-                return fault(
-                    at,
-                    format!("run at {start} touches the one before, which ends at {}", self.end.unwrap_or(0)),
-                );
-            }
-            self.end = Some(end);
-            self.out.push(Run::new(start as u16, (end - 1) as u16));
+            self.run(at, at + 1, start, color, next)?;
         }
+        Ok(())
+    }
+
+    /// Adds the run that starts at `start`, with `color` voxels in runs before it and `next` before the one after. The two
+    /// numbers stand `at` and `color_at` bytes into the column.
+    #[inline]
+    fn run(&mut self, at: usize, color_at: usize, start: u32, color: u32, next: u32) -> Result<(), Fault> {
+        if next <= color {
+            return fault(color_at, format!("colour offset {color} before {next}; colour offsets ascend"));
+        }
+        let end = start + (next - color);
+        if end > self.ny {
+            return fault(at, format!("run from {start} to {end}, the column is {} high", self.ny));
+        }
+        if self.end.is_some_and(|before| start <= before) {
+            let before = self.end.unwrap_or(0);
+            return fault(at, format!("run at {start} touches the one before, which ends at {before}"));
+        }
+        self.end = Some(end);
+        self.out.push(Run::new(start as u16, (end - 1) as u16));
         Ok(())
     }
 }
@@ -310,9 +392,16 @@ mod tests {
 
     /// Round trip, and `find` against the runs at every height.
     fn check(runs: &[Run], ny: u32) {
-        let form = Form::of(ny);
+        for form in [Form::of(ny), Form::Flat] {
+            check_form(runs, form, ny);
+        }
+    }
+
+    fn check_form(runs: &[Run], form: Form, ny: u32) {
         let bytes = encoded(runs, form);
         assert_eq!(decoded(&bytes, form, ny).as_deref(), Ok(runs));
+        assert_eq!(form.len(runs), bytes.len());
+        assert_eq!(count(&bytes, form), [runs.len(), runs.iter().map(|r| r.len() as usize).sum()]);
         let mut expected = vec![None; ny as usize + 300];
         let mut color = 0;
         for (i, run) in runs.iter().enumerate() {
@@ -346,8 +435,8 @@ mod tests {
         #[test]
         fn column_rle_never_panics_on_noise(bytes in prop::collection::vec(any::<u8>(), 0..40), m in 0u8..4, y in 0u32..70_000) {
             let mut bytes = bytes;
-            for form in [Form::Narrow, Form::Wide] {
-                let _ = (decoded(&bytes, form, 65_536), find(&bytes, form, y));
+            for form in [Form::Narrow, Form::Wide, Form::Flat] {
+                let _ = (decoded(&bytes, form, 65_536), find(&bytes, form, y), count(&bytes, form));
             }
             // A likely number of buckets gets further.
             if bytes.len() >= 2 {
@@ -358,7 +447,7 @@ mod tests {
 
         #[test]
         fn column_rle_accepts_only_what_it_would_write(bytes in prop::collection::vec(0u8..6, 0..24)) {
-            for (form, ny) in [(Form::Narrow, 256), (Form::Wide, 65_536)] {
+            for (form, ny) in [(Form::Narrow, 256), (Form::Wide, 65_536), (Form::Flat, 65_536)] {
                 if let Ok(runs) = decoded(&bytes, form, ny) {
                     prop_assert_eq!(encoded(&runs, form), &bytes[..]);
                 }
@@ -399,6 +488,8 @@ mod tests {
             3, 0, 9, 2, 3, 0, 0x10, 1,
         ]);
         assert_eq!(encoded(&[Run::new(0, 65_535)], Form::Wide), [1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(encoded(&[Run::new(3, 4), Run::new(9, 0x0201)], Form::Flat), [3, 0, 0, 0, 9, 0, 2, 0, 0xFB, 1]);
+        assert_eq!(encoded(&[Run::new(0, 65_535)], Form::Flat), [0; 6]);
     }
 
     #[test]
@@ -424,5 +515,18 @@ mod tests {
         assert_eq!(planted(12, 0), (12, "0 runs before bucket 2, 1 were expected".into()));
         assert_eq!(planted(9, 2), (9, "bucket 2 has runs 1 to 3 of a column with 2".into()));
         assert_eq!(planted(4, 5).1, "colour offset 5 before 2; colour offsets ascend");
+
+        let flat = |bytes: &[u8]| decoded(bytes, Form::Flat, 200).map_err(|f| (f.at, f.what)).unwrap_err();
+        assert_eq!(flat(&[1, 0]), (0, "2 bytes; a flat column has 4 a run and 2".into()));
+        assert_eq!(flat(&[1, 0, 1, 0, 9, 0]), (2, "first colour offset 1, 0 was expected".into()));
+        assert_eq!(
+            flat(&[1, 0, 0, 0, 9, 0, 2, 0, 2, 0]),
+            (6, "colour offset 2 before 2; colour offsets ascend".into())
+        );
+        assert_eq!(flat(&[190, 0, 0, 0, 11, 0]), (0, "run from 190 to 201, the column is 200 high".into()));
+        assert_eq!(
+            flat(&[1, 0, 0, 0, 3, 0, 2, 0, 4, 0]),
+            (4, "run at 3 touches the one before, which ends at 3".into())
+        );
     }
 }

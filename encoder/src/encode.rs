@@ -20,12 +20,16 @@ use crate::part::{Finished, Part, Plan, Stored, WORK};
 use crate::pieces::Pieces;
 use crate::read::Modes;
 use crate::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
-use crate::{BuildOptions, ColorMode, Colors, Columns, Error, Input, Level, Result, Rgb, exposure, memory, mips};
+use crate::{
+    BuildOptions, ColorMode, Colors, Columns, Error, Features, Input, Level, Result, Rgb, exposure, memory, mips,
+};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct EncodeOptions {
     pub build: BuildOptions,
+    /// What tiles may leave out.
+    pub features: Features,
     /// Bytes of memory to stay within; None: a quarter of what is free. One tile with its neighbours a thread is the
     /// least that can be worked on, whatever the budget.
     pub memory: Option<u64>,
@@ -143,8 +147,8 @@ pub fn merge(
         }
         let scene = scene.get_or_insert_with(|| Tiles::new(plan));
         let first = &scene.parts.first().map_or(plan, |p| *p.plan());
-        if (plan.dims, plan.modes, plan.mip_rule, plan.settings)
-            != (first.dims, first.modes, first.mip_rule, first.settings)
+        if (plan.dims, plan.modes, plan.mip_rule, plan.features, plan.settings)
+            != (first.dims, first.modes, first.mip_rule, first.features, first.settings)
         {
             let other = scene.parts[0].path().display();
             return Err(Error::format(path, format!("a part of another scene than {other}, or encoded otherwise")));
@@ -206,6 +210,7 @@ fn plan(world: &dyn Pieces, opts: &EncodeOptions, tiles: Option<Range<u64>>) -> 
         dims,
         modes: Modes { encoding: opts.build.encoding, color },
         mip_rule: opts.build.mip_rule,
+        features: opts.features,
         settings: opts.settings,
         source: opts.source,
         tiles: tiles.map_or([0, format::grids(dims)[0].n_tiles()], |t| [t.start, t.end]),
@@ -405,19 +410,20 @@ impl Tiles {
 
     /// The blobs of a tile that has its exposed voxels, with voxel colours where the scene has any.
     fn finished(&self, level: usize, tx: u32, tz: u32, mut tile: Level) -> Result<(Finished, Level)> {
-        let Modes { encoding, color } = self.plan.modes;
+        let Plan { modes, features, .. } = self.plan;
+        let Modes { encoding, color } = modes;
         let too_long = |len| too_long(level, tx, tz, len);
         let mut work = Vec::new();
         let (entry, blob) = if color == ColorMode::Run {
             let exposed = tile.exposed.as_ref().expect("tiles have exposed runs");
-            (_, work) = tile_blob(&tile, WORK.encoding, WORK.color).map_err(too_long)?;
+            (_, work) = tile_blob(&tile, WORK, Features::OFF).map_err(too_long)?;
             let of_voxels = mips::run_colors(tile.geometry(encoding), exposed, &tile.colors);
             let of_voxels = std::mem::replace(&mut tile.colors, of_voxels);
-            let made = tile_blob(&tile, encoding, color).map_err(too_long)?;
+            let made = tile_blob(&tile, modes, features).map_err(too_long)?;
             tile.colors = of_voxels;
             made
         } else {
-            tile_blob(&tile, encoding, color).map_err(too_long)?
+            tile_blob(&tile, modes, features).map_err(too_long)?
         };
         if color == ColorMode::None {
             tile.exposed = None;
@@ -640,7 +646,7 @@ mod tests {
     use super::*;
     use crate::pieces::InMemory;
     use crate::write::write_scene;
-    use crate::{MipRule, PcastFile, build, testing};
+    use crate::{Feature, MipRule, PcastFile, build, testing};
 
     /// Three tiles on both axes, the last ones narrow; runs of all kinds.
     fn world() -> Columns {
@@ -837,6 +843,34 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn merge_and_resume_keep_to_what_tiles_may_leave_out() {
+        let dir = tempfile::tempdir().unwrap();
+        let (whole, path) = (dir.path().join("whole.pcast"), dir.path().join("a.pcast"));
+        for build in modes() {
+            let mut sizes = Vec::new();
+            let tables = Features::from_iter([Feature::Tables]);
+            for (features, version) in [(Features::OFF, 1), (tables, 3), (Features::ALL, 3)] {
+                let opts = EncodeOptions { features, ..options(build, 1) };
+                encode(&InMemory::new(testing::input(world(), true)), &opts, &whole, &Watch::default()).unwrap();
+                let expected = std::fs::read(&whole).unwrap();
+                assert_eq!(expected[8], version);
+                let parts = parts(dir.path(), &opts, &[0..5, 5..9]);
+                merge(&parts, Some(1), None, &path, &Watch::default()).unwrap();
+                assert!(std::fs::read(&path).unwrap() == expected, "{build:?} {features}");
+                sizes.push(expected.len());
+            }
+            assert!(sizes.is_sorted_by(|a, b| a > b), "{build:?} {sizes:?}");
+        }
+        let opts = |features| EncodeOptions { features, ..options(BuildOptions::default(), 1) };
+        let mut mixed = parts(dir.path(), &opts(Features::OFF), std::slice::from_ref(&(0..5)));
+        let sub = dir.path().join("sub");
+        std::fs::create_dir(&sub).unwrap();
+        mixed.extend(parts(&sub, &opts(Features::ALL), std::slice::from_ref(&(5..9))));
+        let refused = merge(&mixed, None, None, &path, &Watch::default()).unwrap_err().to_string();
+        assert!(refused.contains("a part of another scene than"), "{refused}");
     }
 
     #[test]

@@ -2,11 +2,15 @@
 
 use std::fmt;
 
+use rayon::prelude::*;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::format::{self, Section, TileEntry};
-use crate::{ColorMode, Encoding, MipRule, PcastFile, Result};
+use crate::forms::{Forms, Lists, Painted, Table};
+use crate::read::{Blob, Modes};
+use crate::write::general_lens;
+use crate::{ColorMode, Encoding, Feature, MipRule, PcastFile, Result};
 
 /// The figures of `planecast info`. Byte counts are those of the file: tiles with equal content are stored, and
 /// counted, once.
@@ -31,9 +35,96 @@ pub struct Info {
     pub bytes: ByteCounts,
     /// Geometry with column tables of level 0; none where no voxel is exposed.
     pub bytes_per_surface_voxel: Option<f64>,
-    /// xxh3-64 over dimensions, modes and the checksums of all tiles, in hex: equal for equal scenes.
+    /// What the file needs and what it leaves out.
+    pub specialization: Specialization,
+    /// xxh3-64 over dimensions, modes and the checksums of all tiles, in hex: equal for equal scenes that are stored alike.
     pub content_hash: String,
     pub per_level: Vec<LevelInfo>,
+}
+
+/// What the tiles of a file need, and what they leave out. Tiles are those with a blob of their own, of all levels.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Specialization {
+    pub left_out: Vec<Part>,
+    pub needed: Vec<Part>,
+}
+
+/// One part of tiles.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Part {
+    pub what: &'static str,
+    /// The feature that leaves it out, where `encode --specialize` can tell.
+    pub feature: Option<Feature>,
+    pub why: &'static str,
+    /// In how many tiles, of how many.
+    pub tiles: u64,
+    pub of_tiles: u64,
+    /// Bytes of what is needed; bytes saved, beside the general layout and before compression, of what is left out.
+    pub bytes: u64,
+}
+
+/// What of one tile, or of more, is needed and what is not: tiles and bytes.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    tiles: u64,
+    /// Left out, by [`Feature`].
+    saved: [[u64; 2]; 4],
+    lists: [u64; 2],
+    tables: [u64; 2],
+    colors: [u64; 2],
+}
+
+impl Tally {
+    fn of(blob: &Blob, entry: &TileEntry, modes: Modes) -> Result<Tally> {
+        let Forms { lists, painted, .. } = blob.forms();
+        let mut found = Tally { tiles: 1, ..Tally::default() };
+        let len = |sections: &[Section]| sections.iter().map(|&s| blob.section(s).len() as u64).sum::<u64>();
+        const LISTS: [Section; 3] = [Section::Geometry, Section::Fill, Section::Exposure];
+        const TABLES: [Section; 2] = [Section::GeometryTable, Section::ExposureTable];
+        let needed = |bytes: u64| [u64::from(bytes > 0), bytes];
+        let heights = matches!(lists, Lists::Heights { .. });
+        if !heights {
+            found.lists = needed(len(&LISTS));
+        }
+        found.tables = needed(len(&TABLES) + len(&[Section::ColorTable]));
+        found.colors = needed(len(&[Section::Colors]));
+        if entry.flags & format::SPECIALIZED == 0 {
+            return Ok(found);
+        }
+        let general = general_lens(&blob.level()?, modes);
+        let saved = |sections: &[Section]| {
+            let general = sections.iter().map(|&s| general[s as usize]).sum::<u64>();
+            general.saturating_sub(len(sections))
+        };
+        let mut left_out = |feature: Feature, holds: bool, bytes: u64| {
+            if holds {
+                let [tiles, sum] = &mut found.saved[feature as usize];
+                (*tiles, *sum) = (1, *sum + bytes);
+            }
+        };
+        let narrow = |section: Section| matches!(blob.forms().table(section), Table::Even | Table::Grouped);
+        if heights {
+            left_out(Feature::Heights, true, saved(&LISTS) + saved(&TABLES));
+        } else {
+            left_out(Feature::Lists, lists != Lists::general(blob.ny()), saved(&LISTS));
+            left_out(Feature::Tables, TABLES.into_iter().any(narrow), saved(&TABLES));
+        }
+        match painted {
+            Painted::Each => left_out(Feature::Tables, narrow(Section::ColorTable), saved(&[Section::ColorTable])),
+            _ => left_out(Feature::Colors, true, saved(&[Section::ColorTable, Section::Colors])),
+        }
+        Ok(found)
+    }
+
+    fn add(mut self, other: Tally) -> Tally {
+        let add = |a: &mut [u64; 2], b: [u64; 2]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        self.tiles += other.tiles;
+        self.saved.iter_mut().zip(other.saved).for_each(|(a, b)| add(a, b));
+        add(&mut self.lists, other.lists);
+        add(&mut self.tables, other.tables);
+        add(&mut self.colors, other.colors);
+        self
+    }
 }
 
 /// Figures of one level.
@@ -87,15 +178,20 @@ pub fn info(file: &PcastFile) -> Result<Info> {
     let mut bytes = ByteCounts::default();
     let mut per_level = Vec::new();
     let mut seen = std::collections::HashSet::new();
+    let mut distinct = Vec::new();
+    let mut equal = [0; 2];
     for (k, grid) in file.grids().iter().enumerate() {
         let mut of_level = ByteCounts::default();
         let mut stored = 0;
         for (tx, tz) in (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz))) {
             let Some(blob) = file.blob(k, tx, tz)? else { continue };
+            let [in_file, unpacked] = blob.lens().map(|n| n as u64);
             if !seen.insert(blob.file_offset()) {
+                equal[0] += 1;
+                equal[1] += unpacked;
                 continue;
             }
-            let [in_file, unpacked] = blob.lens().map(|n| n as u64);
+            distinct.push((k, tx, tz));
             for section in Section::ALL {
                 // The bytes of a compressed tile are shared out as the unpacked ones are.
                 let len = blob.section(section).len() as u64 * in_file / unpacked;
@@ -129,6 +225,14 @@ pub fn info(file: &PcastFile) -> Result<Info> {
     ]);
     file.entries().iter().for_each(|e| hash.update(&e.checksum.to_le_bytes()));
 
+    let modes = Modes { encoding: file.encoding(), color: file.color() };
+    let tally = distinct
+        .into_par_iter()
+        .map(|(k, tx, tz)| match file.blob(k, tx, tz)? {
+            Some(blob) => Tally::of(&blob, &file.entries()[file.tile_ix(k, tx, tz)], modes),
+            None => Ok(Tally::default()),
+        })
+        .try_reduce(Tally::default, |a, b| Ok(a.add(b)))?;
     let finest = &per_level[0];
     let geometry = finest.bytes.geometry + finest.bytes.columns;
     Ok(Info {
@@ -143,9 +247,50 @@ pub fn info(file: &PcastFile) -> Result<Info> {
         surface_voxels: finest.surface_voxels,
         bytes,
         bytes_per_surface_voxel: (finest.surface_voxels > 0).then(|| geometry as f64 / finest.surface_voxels as f64),
+        specialization: specialization(file, &tally, equal, &per_level),
         content_hash: format!("{:016x}", hash.digest()),
         per_level,
     })
+}
+
+/// `equal` is the number of tiles that share the blob of another, and the bytes that their own would take.
+fn specialization(file: &PcastFile, tally: &Tally, equal: [u64; 2], per_level: &[LevelInfo]) -> Specialization {
+    let of_tiles = tally.tiles;
+    let all = file.entries().len() as u64;
+    let part =
+        |what, feature, why, [tiles, bytes]: [u64; 2], of_tiles| Part { what, feature, why, tiles, of_tiles, bytes };
+    let empty = per_level.iter().map(|l| l.empty_tiles).sum();
+    let mut left_out = vec![
+        part("empty tiles", None, "no voxel is solid", [empty, 0], all),
+        part("equal tiles", None, "stored once", equal, all),
+    ];
+    for feature in Feature::ALL {
+        let (what, why) = match feature {
+            Feature::Heights => ("run lists", "every column is empty or one run from y = 0 up"),
+            Feature::Lists => {
+                ("first level of run lists", "the tile spans at most 256 heights, or lists are shorter without")
+            }
+            Feature::Tables => ("wide column tables", "columns take equal bytes, or few enough for a byte a column"),
+            Feature::Colors => ("fine colours", "all voxels of a tile, column or run have the same"),
+        };
+        left_out.push(part(what, Some(feature), why, tally.saved[feature as usize], of_tiles));
+    }
+    if file.dims()[1] <= 256 {
+        left_out.push(part("first level of run lists", None, "the world is at most 256 high", [of_tiles, 0], of_tiles));
+    }
+    if file.color() == ColorMode::None {
+        left_out.push(part("colours", None, "the scene has none", [of_tiles, 0], of_tiles));
+    }
+    let coarse = &per_level[1..];
+    let coarse = [coarse.iter().map(|l| l.tiles - l.empty_tiles).sum(), coarse.iter().map(|l| l.bytes.total).sum()];
+    let needed = [
+        part("run lists", None, "columns of several runs, or above y = 0", tally.lists, of_tiles),
+        part("column tables", None, "columns of unequal bytes", tally.tables, of_tiles),
+        part("colours", None, "those that differ", tally.colors, of_tiles),
+        part("coarser levels", None, "no bound on distance, --lod or --repeat is known", coarse, all),
+    ];
+    left_out.retain(|p| p.tiles > 0);
+    Specialization { left_out, needed: needed.into_iter().filter(|p| p.tiles > 0).collect() }
 }
 
 impl fmt::Display for Info {
@@ -172,6 +317,15 @@ impl fmt::Display for Info {
         if let Some(bytes) = self.bytes_per_surface_voxel {
             writeln!(f, "density   {bytes:.3} bytes of geometry with column tables a surface voxel")?;
         }
+        for part in &self.specialization.needed {
+            let Part { what, why, tiles, of_tiles, bytes, .. } = part;
+            writeln!(f, "needed    {what}: {bytes} bytes, {tiles} of {of_tiles} tiles; {why}")?;
+        }
+        for part in &self.specialization.left_out {
+            let Part { what, why, tiles, of_tiles, bytes, feature } = part;
+            let feature = feature.map(|f| format!(" [{}]", f.name())).unwrap_or_default();
+            writeln!(f, "left out  {what}{feature}: {bytes} bytes saved, {tiles} of {of_tiles} tiles; {why}")?;
+        }
         writeln!(f, "content   {}", self.content_hash)?;
         writeln!(f)?;
         writeln!(
@@ -195,14 +349,18 @@ impl fmt::Display for Info {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::write::write_scene;
-    use crate::{BuildOptions, Columns, Scene, build, exposure, testing};
+    use crate::write::write_scene_with;
+    use crate::{BuildOptions, Columns, Features, Scene, build, exposure, testing};
 
+    /// In the general layout.
     fn of(scene: &Scene) -> Info {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.pcast");
-        write_scene(scene, &path).unwrap();
-        info(&PcastFile::open(&path).unwrap()).unwrap()
+        with(scene, Features::OFF)
+    }
+
+    fn with(scene: &Scene, features: Features) -> Info {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        write_scene_with(scene, features, &mut bytes, "a.pcast".as_ref()).unwrap();
+        info(&PcastFile::from_bytes("a.pcast", bytes.into_inner()).unwrap()).unwrap()
     }
 
     fn hills(color: ColorMode, encoding: Encoding) -> Scene {
@@ -241,6 +399,41 @@ mod tests {
                 assert_eq!(info.bytes_per_surface_voxel, Some(per_voxel));
             }
         }
+    }
+
+    #[test]
+    fn info_says_what_was_left_out_and_how_many_bytes_that_saves() {
+        let mixed = Columns::from_fn(600, 300, 20, |x, y, z| match x / 256 {
+            0 => y < 20 + (x * z) % 90,
+            1 => y > 130 && (y + x + z) % 70 > 5 && y < 140 + x % 70,
+            _ => (y + x * z) % 29 < 5 + x % 3,
+        });
+        let in_sections = |info: &Info| info.bytes.total - info.bytes.other;
+        for color in [ColorMode::None, ColorMode::Run, ColorMode::Voxel] {
+            for encoding in [Encoding::Solid, Encoding::Surface] {
+                let opts = BuildOptions { encoding, color: Some(color), ..Default::default() };
+                let mut scene = build(testing::input(mixed.clone(), color != ColorMode::None), &opts).unwrap();
+                scene.levels[2].colors.fill([7; 3]);
+                let general = of(&scene);
+                assert!(general.specialization.left_out.iter().all(|p| p.feature.is_none()));
+                for features in [Features::ALL].into_iter().chain(Feature::ALL.map(|f| Features::from_iter([f]))) {
+                    let found = with(&scene, features);
+                    let left_out = &found.specialization.left_out;
+                    assert!(left_out.iter().filter_map(|p| p.feature).all(|f| features.has(f)));
+                    let saved: u64 = left_out.iter().filter(|p| p.feature.is_some()).map(|p| p.bytes).sum();
+                    let case = format!("{color:?} {encoding:?} {features} {left_out:?}");
+                    assert_eq!(in_sections(&general) - in_sections(&found), saved, "{case}");
+                    assert!(
+                        saved > 0 || (features, color) == (Features::from_iter([Feature::Colors]), ColorMode::None)
+                    );
+                    let needed: u64 = found.specialization.needed.iter().map(|p| p.bytes).sum();
+                    assert!(needed > 0, "{case}");
+                }
+            }
+        }
+        let text = with(&hills(ColorMode::None, Encoding::Solid), Features::ALL).to_string();
+        assert!(text.contains("left out  run lists [heights]: "), "{text}");
+        assert!(text.contains("left out  colours: 0 bytes saved, "), "{text}");
     }
 
     #[test]
@@ -283,6 +476,10 @@ mod tests {
     #[test]
     fn info_text_names_the_world() {
         let text = of(&hills(ColorMode::None, Encoding::Solid)).to_string();
+        let text: String = text
+            .lines()
+            .filter(|l| !l.starts_with("needed") && !l.starts_with("left out"))
+            .fold(String::new(), |text, line| text + line + "\n");
         assert!(text.starts_with("world     300 × 20 × 260 voxels (y up), 10 levels\nmodes     encoding solid, color none, mip rule any\n"), "{text}");
         assert_eq!(text.lines().count(), 9 + 10, "{text}");
     }

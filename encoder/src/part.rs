@@ -18,10 +18,11 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::format::{self, Grid, TileEntry};
 use crate::read::{Modes, Place, decode_tile};
 use crate::source::{read_at, write_at};
-use crate::{ColorMode, Encoding, Error, Level, MipRule, Result};
+use crate::{ColorMode, Encoding, Error, Features, Level, MipRule, Result};
 
 pub const MAGIC: [u8; 8] = *b"\x89PCT\r\n\x1a\n";
-pub const VERSION: [u16; 2] = [1, 0];
+/// Version 1 had no [`Features`]: its parts are of the general layout.
+pub const VERSION: [u16; 2] = [2, 0];
 const END: u64 = u64::MAX;
 
 #[repr(C)]
@@ -33,7 +34,7 @@ struct PartHeader {
     encoding: u8,
     color: u8,
     mip_rule: u8,
-    pad: u8,
+    features: u8,
     pad2: u32,
     /// Of what was encoded and how: parts of one scene have the same.
     settings: u64,
@@ -66,6 +67,8 @@ pub struct Plan {
     pub dims: [u32; 3],
     pub modes: Modes,
     pub mip_rule: MipRule,
+    /// What tiles may leave out.
+    pub features: Features,
     /// Hash of the input's size and the options.
     pub settings: u64,
     /// Hash of the input's name and time.
@@ -83,6 +86,7 @@ impl Plan {
             encoding: format::encoding_code(self.modes.encoding),
             color: format::color_code(self.modes.color),
             mip_rule: format::mip_rule_code(self.mip_rule),
+            features: self.features.code(),
             settings: self.settings,
             source: self.source,
             tiles: self.tiles,
@@ -97,7 +101,7 @@ impl Plan {
         if header.magic != MAGIC {
             return Err(wrong("byte 0: not a part of a scene; make one with `planecast encode --tiles A..B`"));
         }
-        if header.version[0] != VERSION[0] {
+        if !(1..=VERSION[0]).contains(&header.version[0]) {
             return Err(wrong("byte 8: a part made by another version of planecast; encode it again"));
         }
         if header.checksum != xxh3_64(&bytes_of(header)[..72]) {
@@ -105,7 +109,7 @@ impl Plan {
         }
         let modes = Modes::from_codes(header.encoding, header.color);
         let rule = [MipRule::Any, MipRule::Majority].get(header.mip_rule as usize).copied();
-        let (Some(modes), Some(mip_rule)) = (modes, rule) else {
+        let (Some(modes), Some(mip_rule), Some(features)) = (modes, rule, Features::from_code(header.features)) else {
             return Err(wrong("byte 24: modes that this program does not know"));
         };
         let [nx, ny, nz] = header.dims;
@@ -114,7 +118,7 @@ impl Plan {
             return Err(wrong("byte 12: a world of a size that a scene cannot have"));
         }
         let PartHeader { dims, settings, source, tiles, .. } = *header;
-        Ok(Plan { dims, modes, mip_rule, settings, source, tiles })
+        Ok(Plan { dims, modes, mip_rule, features, settings, source, tiles })
     }
 }
 
@@ -275,17 +279,18 @@ impl Part {
     /// A tile for making the coarser level of: its solid runs, and its exposed voxels and their colours where the scene
     /// has colours.
     pub fn work_level(&self, stored: &Stored, grid: &Grid, level: usize, tx: u32, tz: u32) -> Result<Level> {
-        let (modes, bytes) = if stored.work_len > 0 {
+        let (modes, flags, bytes) = if stored.work_len > 0 {
             let mut bytes = vec![0; stored.work_len as usize];
             let at = stored.at + u64::from(stored.entry.len);
             read_at(&self.file, &mut bytes, at).map_err(|e| Error::io(&self.path, "read", e))?;
-            (WORK, bytes)
+            (WORK, 0, bytes)
         } else {
-            (self.plan.modes, self.blob(stored)?)
+            (self.plan.modes, stored.entry.flags, self.blob(stored)?)
         };
         let [xs, zs] = grid.columns(tx, tz);
         let dims = [xs.len() as u32, grid.dims[1], zs.len() as u32];
-        let mut level = decode_tile(Place { path: &self.path, level, tx, tz, offset: stored.at, modes, dims }, &bytes)?;
+        let place = Place { path: &self.path, level, tx, tz, offset: stored.at, flags, modes, dims };
+        let mut level = decode_tile(place, &bytes)?;
         if self.plan.modes.color == ColorMode::None {
             level.exposed = None;
         } else if level.exposed.is_none() {

@@ -17,7 +17,8 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::column_rle::{self, Form};
-use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, Section, TileEntry};
+use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
+use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, n_edges};
 use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
 
 /// What [`PcastFile::query`] finds.
@@ -94,9 +95,12 @@ impl PcastFile {
                 "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
             ));
         }
-        if ![format::VERSION[0], format::VERSION_COMPRESSED[0]].contains(&header.version[0]) {
-            return wrong(8, format!("version {} of .pcast, this program reads versions 1 and 2", header.version[0]));
-        }
+        let flags = match header.version[0] {
+            1 => EMPTY,
+            2 => EMPTY | COMPRESSED,
+            3 => EMPTY | COMPRESSED | SPECIALIZED,
+            other => return wrong(8, format!("version {other} of .pcast, this program reads versions 1 to 3")),
+        };
         if header.checksum != header.checksum() {
             return wrong(56, "the header does not match its checksum; the file is damaged".into());
         }
@@ -152,7 +156,6 @@ impl PcastFile {
         let entries: Vec<TileEntry> = directory.chunks_exact(size_of::<TileEntry>()).map(pod_read_unaligned).collect();
         let directory_at = header.directory as usize;
         let directory_end = header.directory + directory.len() as u64;
-        let flags = if header.version[0] == format::VERSION[0] { EMPTY } else { EMPTY | COMPRESSED };
         if let Err((tile, what)) = check_entries(&entries, flags, directory_end, header.file_len) {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
         }
@@ -197,7 +200,7 @@ impl PcastFile {
         self.bytes.len() as u64
     }
 
-    fn tile_ix(&self, level: usize, tx: u32, tz: u32) -> usize {
+    pub(crate) fn tile_ix(&self, level: usize, tx: u32, tz: u32) -> usize {
         let grid = &self.grids[level];
         assert!(tx < grid.tiles[0] && tz < grid.tiles[1], "tile ({tx}, {tz}) of level {level} is outside the world");
         grid.first as usize + tz as usize * grid.tiles[0] as usize + tx as usize
@@ -207,8 +210,8 @@ impl PcastFile {
         let [xs, zs] = self.grids[level].columns(tx, tz);
         let dims = [xs.len() as u32, self.grids[level].dims[1], zs.len() as u32];
         let modes = Modes { encoding: self.encoding, color: self.color };
-        let offset = self.entries[self.tile_ix(level, tx, tz)].offset;
-        Place { path: &self.path, level, tx, tz, offset, modes, dims }
+        let TileEntry { offset, flags, .. } = self.entries[self.tile_ix(level, tx, tz)];
+        Place { path: &self.path, level, tx, tz, offset, flags, modes, dims }
     }
 
     /// A tile's blob, its checksum checked on first use; None for an empty tile.
@@ -416,28 +419,13 @@ impl PcastFile {
         let [nx, ny, nz] = self.dims();
         let (Some(x), Some(y), Some(z)) = (inside(x, nx), inside(y, ny), inside(z, nz)) else { return Ok(AIR) };
         let Some(blob) = self.blob(0, x / format::TILE, z / format::TILE)? else { return Ok(AIR) };
-        let form = Form::of(ny);
         let ix = (z % format::TILE) as usize * blob.width + (x % format::TILE) as usize;
-
-        let (start, column) = blob.column(Section::GeometryTable, Section::Geometry, ix)?;
-        let Some(place) = column_rle::at_or_below(column, form, y) else { return Ok(AIR) };
-        // A forged column's run may start above y.
-        let above = y.checked_sub(place.start).filter(|&above| above < place.len);
-        let shown = above.map(|above| place.color.wrapping_add(above));
-        if shown.is_none() && !(self.encoding == Encoding::Surface && blob.fill(start / 2 + place.run)) {
-            return Ok(AIR);
-        }
-        let color = match (self.color, self.encoding) {
-            (ColorMode::None, _) => None,
-            (ColorMode::Run, _) => shown.map(|_| place.run),
-            (ColorMode::Voxel, Encoding::Surface) => shown.map(|color| color as usize),
-            (ColorMode::Voxel, Encoding::Solid) => {
-                let (_, column) = blob.column(Section::ExposureTable, Section::Exposure, ix)?;
-                column_rle::find(column, form, y).map(|(_, color)| color as usize)
-            }
+        let (solid, shown) = blob.look(ix, y)?;
+        let color = match self.color {
+            ColorMode::None => None,
+            _ => shown.map(|at| blob.color(ix, at)).transpose()?,
         };
-        let color = color.map(|i| blob.color(ix, i)).transpose()?;
-        Ok(Voxel { solid: true, color })
+        Ok(Voxel { solid, color })
     }
 }
 
@@ -510,7 +498,7 @@ impl Modes {
     }
 
     /// Whether a tile has exposed runs: as its geometry, or to find colours by.
-    fn shows(self) -> bool {
+    pub(crate) fn shows(self) -> bool {
         self.encoding == Encoding::Surface || self.color == ColorMode::Voxel
     }
 }
@@ -525,6 +513,8 @@ pub(crate) struct Place<'a> {
     pub tz: u32,
     /// Of the blob in the file.
     pub offset: u64,
+    /// Of its entry in the directory.
+    pub flags: u32,
     pub modes: Modes,
     /// Of the tile.
     pub dims: [u32; 3],
@@ -555,13 +545,13 @@ pub(crate) struct Blob<'a> {
     /// Bytes in the file.
     stored: usize,
     header: BlobHeader,
+    forms: Forms,
     width: usize,
     depth: usize,
 }
 
 impl<'a> Blob<'a> {
     fn new(place: Place<'a>, bytes: Cow<'a, [u8]>, stored: usize) -> Result<Blob<'a>> {
-        let Modes { encoding, color } = place.modes;
         let Some(header) = bytes.get(..size_of::<BlobHeader>()) else {
             return Err(place.error(0, format!("{} bytes; a blob has a header of 64", bytes.len())));
         };
@@ -571,66 +561,181 @@ impl<'a> Blob<'a> {
             let (w, d) = (header.width, header.depth);
             return Err(place.error(0, format!("{w} × {d} columns, {width} × {depth} were expected")));
         }
+        let specialized = place.flags & SPECIALIZED != 0;
+        if !specialized && header.forms & !GENERAL != 0 {
+            let what = format!(
+                "forms {:#x} of a tile that is not specialized, at most {GENERAL:#x} was expected",
+                header.forms
+            );
+            return Err(place.error(4, what));
+        }
+        let Some(forms) = Forms::unpack(header.forms, place.dims[1]) else {
+            return Err(place.error(4, format!("forms {:#x}, which no tile of this height has", header.forms)));
+        };
+        let painted = match place.modes.color {
+            ColorMode::None => forms.painted == Painted::Each,
+            ColorMode::Run => forms.painted != Painted::Run,
+            ColorMode::Voxel => true,
+        };
+        if !painted {
+            return Err(place.error(4, format!("forms {:#x}, with colours that the scene does not have", header.forms)));
+        }
+        let blob = Blob { place, bytes, stored, header, forms, width, depth };
+        blob.check_sections()?;
+        Ok(blob)
+    }
+
+    /// Sections that are there, in order, in the blob, and of the length that their forms ask for.
+    fn check_sections(&self) -> Result<()> {
+        let Blob { place, header, .. } = self;
         let mut end = size_of::<BlobHeader>() as u64;
-        let mut bits = 0;
         for section in Section::ALL {
             let [offset, len] = header.sections[section as usize].map(u64::from);
             let wrong = |what: String| {
                 Err(place.error(8 + 8 * section as usize, format!("section {}: {what}", section.name())))
             };
-            if !section.present(encoding, color) {
+            if !self.has(section) {
                 if offset != 0 || len != 0 {
                     return wrong("present, but not in scenes of this kind".into());
                 }
                 continue;
             }
-            bits |= section.long_bit();
-            if offset < end || !offset.is_multiple_of(ALIGN) || offset + len > bytes.len() as u64 {
-                return wrong(format!("{len} bytes at {offset} of a blob with {}", bytes.len()));
+            if offset < end || !offset.is_multiple_of(ALIGN) || offset + len > self.bytes.len() as u64 {
+                return wrong(format!("{len} bytes at {offset} of a blob with {}", self.bytes.len()));
             }
             end = offset + len;
-            let long = header.long & section.long_bit() != 0;
-            let expected = match section {
-                Section::GeometryTable | Section::ExposureTable | Section::ColorTable if long => 4 * width * depth,
-                Section::GeometryTable | Section::ExposureTable | Section::ColorTable => 4 * depth + 2 * width * depth,
-                Section::Fill => (header.sections[Section::Geometry as usize][1] as usize).div_ceil(16),
-                Section::Colors => (len - len % 3) as usize,
-                Section::Geometry | Section::Exposure => len as usize,
-            };
+            let expected = self.expected_len(section, len as usize);
             if len != expected as u64 {
                 return wrong(format!("{len} bytes, {expected} were expected"));
             }
         }
-        if header.long & !bits != 0 {
-            return Err(place.error(4, format!("table forms {:#x}, only bits of {bits:#x} were expected", header.long)));
+        if end != self.bytes.len() as u64 {
+            return Err(place.error(0, format!("{} bytes, its sections end at {end}", self.bytes.len())));
         }
-        if end != bytes.len() as u64 {
-            return Err(place.error(0, format!("{} bytes, its sections end at {end}", bytes.len())));
+        let Modes { encoding, color } = place.modes;
+        let tables = [Section::GeometryTable, Section::ExposureTable, Section::ColorTable];
+        for table in tables.into_iter().filter(|&table| !self.has(table)) {
+            let even =
+                self.forms.table(table) == Table::Even && table.present(encoding, color) && self.has_starts(table);
+            if self.forms.table(table) != Table::Short && !even {
+                let what = format!("forms {:#x} for a {} that is not there", header.forms, table.name());
+                return Err(place.error(4, what));
+            }
+            if even && !self.len_of(table.columns()).is_multiple_of(self.n_columns()) {
+                let what = format!("{} bytes are not the same for all columns", self.section(table.columns()).len());
+                return Err(place.error(self.offset(table.columns()), what));
+            }
         }
-        Ok(Blob { place, bytes, stored, header, width, depth })
+        if let (Some(heights), true) = (self.heights(), place.modes.shows()) {
+            for ix in 0..self.n_columns() {
+                let (h, low) = (heights.height(ix), heights.low(ix));
+                if (h < 2 && low != 0) || (h >= 2 && !(1..h).contains(&low)) {
+                    let what = format!("lowest exposed voxel {low} of a height of {h}");
+                    return Err(self.column_error(Section::Exposure, 0, ix, what));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the blob has a section.
+    fn has(&self, section: Section) -> bool {
+        let Modes { encoding, color } = self.place.modes;
+        match section {
+            Section::Exposure if self.heights_form().is_some() => self.place.modes.shows(),
+            Section::Fill if self.heights_form().is_some() => false,
+            Section::GeometryTable | Section::ExposureTable | Section::ColorTable => {
+                section.present(encoding, color) && self.has_starts(section) && self.forms.table(section) != Table::Even
+            }
+            _ => section.present(encoding, color),
+        }
+    }
+
+    /// Whether the columns of a section start where a table says, or evenly.
+    fn has_starts(&self, table: Section) -> bool {
+        match table {
+            Section::ColorTable => matches!(self.forms.painted, Painted::Each | Painted::Run),
+            _ => self.heights_form().is_none(),
+        }
+    }
+
+    /// Bytes that a section should have; those that it has, where the forms do not tell.
+    fn expected_len(&self, section: Section, len: usize) -> usize {
+        let n = self.n_columns();
+        match section {
+            Section::GeometryTable | Section::ExposureTable | Section::ColorTable => match self.forms.table(section) {
+                Table::Short => 4 * self.depth + 2 * n,
+                Table::Long => 4 * n,
+                Table::Even => 0,
+                Table::Grouped if section == Section::ColorTable => 4 * n.div_ceil(1 << COLOR_GROUP_SHIFT),
+                Table::Grouped => 4 * n.div_ceil(1 << self.forms.group_shift) + n,
+            },
+            Section::Fill => (self.header.sections[Section::Geometry as usize][1] as usize).div_ceil(16),
+            Section::Geometry => self.heights_form().map_or(len, |(bytes, _)| bytes * n),
+            Section::Exposure if self.heights_form().is_some() => 2 * n_edges(self.width, self.depth),
+            Section::Exposure => len,
+            Section::Colors => match self.forms.painted {
+                Painted::Tile => 3,
+                Painted::Column => 3 * n,
+                Painted::Each | Painted::Run => len - len % 3,
+            },
+        }
+    }
+
+    fn n_columns(&self) -> usize {
+        self.width * self.depth
+    }
+
+    /// Bytes a column and base, of a tile of heights.
+    fn heights_form(&self) -> Option<(usize, u32)> {
+        match self.forms.lists {
+            Lists::Heights { bytes, base } => Some((bytes, base)),
+            Lists::Runs { .. } => None,
+        }
+    }
+
+    fn heights(&self) -> Option<Heights<'_>> {
+        let (bytes, base) = self.heights_form()?;
+        let (above, edges) = (self.section(Section::Geometry), self.section(Section::Exposure));
+        Some(Heights { width: self.width, depth: self.depth, bytes, base, above, edges })
+    }
+
+    /// Form and base of the runs of a tile of lists.
+    fn list_form(&self) -> (Form, u32) {
+        match self.forms.lists {
+            Lists::Runs { form, base } => (form, base),
+            Lists::Heights { .. } => unreachable!("heights are looked at first"),
+        }
     }
 
     /// All that the tile holds, checked.
-    fn level(&self) -> Result<Level> {
+    pub(crate) fn level(&self) -> Result<Level> {
         let Modes { encoding, color } = self.place.modes;
-        let geometry = self.columns(Section::GeometryTable, Section::Geometry)?;
-        let (solid, exposed) = match encoding {
-            Encoding::Surface => (self.filled(&geometry)?, Some(geometry)),
-            Encoding::Solid if self.place.modes.shows() => {
-                (geometry, Some(self.columns(Section::ExposureTable, Section::Exposure)?))
+        let shows = self.place.modes.shows();
+        let ny = self.place.dims[1];
+        let (solid, exposed) = match (self.heights(), encoding) {
+            (Some(heights), _) => {
+                if let Some(ix) = (0..self.n_columns()).find(|&ix| heights.height(ix) > ny) {
+                    let what = format!("{} high, at most {ny} was expected", heights.height(ix));
+                    return Err(self.column_error(Section::Geometry, heights.bytes * ix, ix, what));
+                }
+                (heights.solid(ny), shows.then(|| heights.exposed(ny)))
             }
-            Encoding::Solid => (geometry, None),
+            (None, Encoding::Surface) => {
+                let geometry = self.columns(Section::GeometryTable, Section::Geometry)?;
+                (self.filled(&geometry)?, Some(geometry))
+            }
+            (None, Encoding::Solid) => {
+                let geometry = self.columns(Section::GeometryTable, Section::Geometry)?;
+                let exposed = shows.then(|| self.columns(Section::ExposureTable, Section::Exposure));
+                (geometry, exposed.transpose()?)
+            }
         };
         let mut level = Level { solid, exposed, colors: Vec::new() };
         level.colors = match color {
             ColorMode::None => Vec::new(),
-            ColorMode::Run => {
-                let starts: Vec<u64> = level.geometry(encoding).offsets().iter().map(|&n| u64::from(n)).collect();
-                self.colors(&starts)?
-            }
-            ColorMode::Voxel => {
-                self.colors(&level.exposed.as_ref().expect("read above for this mode").voxel_offsets())?
-            }
+            ColorMode::Run => self.colors(level.geometry(encoding), false)?,
+            ColorMode::Voxel => self.colors(level.exposed.as_ref().expect("read above for this mode"), true)?,
         };
         Ok(level)
     }
@@ -650,28 +755,76 @@ impl<'a> Blob<'a> {
         [self.stored, self.bytes.len()]
     }
 
+    pub(crate) fn forms(&self) -> Forms {
+        self.forms
+    }
+
+    /// Height of its level.
+    pub(crate) fn ny(&self) -> u32 {
+        self.place.dims[1]
+    }
+
     fn offset(&self, section: Section) -> usize {
         self.header.sections[section as usize][0] as usize
     }
 
-    /// The start that `table` gives to column number `ix`; `end` past the last.
-    fn start(&self, table: Section, ix: usize, end: usize) -> usize {
+    /// What tables count in a section: bytes, or colours.
+    fn len_of(&self, section: Section) -> usize {
+        let len = self.section(section).len();
+        if section == Section::Colors { len / 3 } else { len }
+    }
+
+    /// The start that `table` gives to column number `ix`; past the last, the end.
+    fn start(&self, table: Section, ix: usize) -> usize {
         let bytes = self.section(table);
         let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize;
-        if ix == self.width * self.depth {
-            end
-        } else if self.header.long & table.long_bit() != 0 {
-            u32_at(4 * ix)
-        } else {
-            let at = 4 * self.depth + 2 * ix;
-            u32_at(4 * (ix / self.width)) + u16::from_le_bytes([bytes[at], bytes[at + 1]]) as usize
+        let n = self.n_columns();
+        if ix == n {
+            return self.len_of(table.columns());
         }
+        match self.forms.table(table) {
+            Table::Short => {
+                let at = 4 * self.depth + 2 * ix;
+                u32_at(4 * (ix / self.width)) + u16::from_le_bytes([bytes[at], bytes[at + 1]]) as usize
+            }
+            Table::Long => u32_at(4 * ix),
+            Table::Even => self.len_of(table.columns()) / n * ix,
+            Table::Grouped if table == Section::ColorTable => {
+                let group = ix >> COLOR_GROUP_SHIFT;
+                let before = (group << COLOR_GROUP_SHIFT..ix).map(|ix| self.n_colors(ix)).sum::<usize>();
+                u32_at(4 * group) + before
+            }
+            Table::Grouped => {
+                let shift = self.forms.group_shift;
+                let offset = bytes[4 * n.div_ceil(1 << shift) + ix] as usize;
+                u32_at(4 * (ix >> shift)) + self.forms.unit() * offset
+            }
+        }
+    }
+
+    /// Colours of column number `ix`, by its runs; arbitrary where those are forged.
+    fn n_colors(&self, ix: usize) -> usize {
+        let Modes { encoding, color } = self.place.modes;
+        let exposes = color == ColorMode::Voxel || encoding == Encoding::Surface;
+        let [runs, voxels] = match self.heights() {
+            Some(heights) if exposes => heights.count_exposed(ix),
+            Some(heights) => [usize::from(heights.height(ix) > 0), 0],
+            None => {
+                let lists = match encoding {
+                    Encoding::Solid if exposes => Section::Exposure,
+                    _ => Section::Geometry,
+                };
+                let table = if lists == Section::Exposure { Section::ExposureTable } else { Section::GeometryTable };
+                self.column(table, lists, ix).map_or([0; 2], |c| column_rle::count(c.1, self.list_form().0))
+            }
+        };
+        if color == ColorMode::Voxel && self.forms.painted == Painted::Each { voxels } else { runs }
     }
 
     /// Start and bytes of column number `ix`.
     fn column(&self, table: Section, lists: Section, ix: usize) -> Result<(usize, &[u8])> {
         let bytes = self.section(lists);
-        let (start, end) = (self.start(table, ix, bytes.len()), self.start(table, ix + 1, bytes.len()));
+        let (start, end) = (self.start(table, ix), self.start(table, ix + 1));
         let column = bytes.get(start..end).ok_or_else(|| {
             let what = format!("bytes {start} to {end} of {} in section {}", bytes.len(), lists.name());
             self.column_error(table, 0, ix, what)
@@ -687,10 +840,11 @@ impl<'a> Blob<'a> {
     /// All columns of a list, checked.
     fn columns(&self, table: Section, lists: Section) -> Result<Columns> {
         let ny = self.place.dims[1];
-        let form = Form::of(ny);
-        let n_columns = self.width * self.depth;
+        let (form, base) = self.list_form();
+        let highest = if form == Form::Narrow { (ny - base).min(256) } else { ny - base };
+        let n_columns = self.n_columns();
         let mut offsets = Vec::with_capacity(n_columns + 1);
-        let mut runs = Vec::new();
+        let mut runs: Vec<Run> = Vec::new();
         offsets.push(0);
         let mut end = 0;
         for ix in 0..n_columns {
@@ -699,8 +853,13 @@ impl<'a> Blob<'a> {
                 return Err(self.column_error(table, 0, ix, format!("starts at byte {start}, {end} was expected")));
             }
             end = start + column.len();
-            column_rle::decode(column, form, ny, &mut runs)
+            let before = runs.len();
+            column_rle::decode(column, form, highest, &mut runs)
                 .map_err(|fault| self.column_error(lists, start + fault.at, ix, fault.what))?;
+            if base > 0 {
+                let raised = |r: Run| Run::new(r.first() + base as u16, r.last() + base as u16);
+                runs[before..].iter_mut().for_each(|r| *r = raised(*r));
+            }
             // A tile has at most 65,536 columns of 32,768 runs.
             offsets.push(runs.len() as u32);
         }
@@ -717,8 +876,8 @@ impl<'a> Blob<'a> {
     /// The solid runs of a surface tile: its runs and the gaps whose fill bit is set.
     fn filled(&self, shown: &Columns) -> Result<Columns> {
         let mut solid = ColumnsBuilder::new(shown.nx(), shown.ny(), shown.nz());
-        for ix in 0..self.width * self.depth {
-            let (start, _) = self.column(Section::GeometryTable, Section::Geometry, ix)?;
+        for ix in 0..self.n_columns() {
+            let start = self.start(Section::GeometryTable, ix);
             let runs = &shown.runs()[shown.range(ix)];
             for (i, run) in runs.iter().enumerate() {
                 let mut run = *run;
@@ -738,29 +897,87 @@ impl<'a> Blob<'a> {
         Ok(solid.finish())
     }
 
-    fn color(&self, ix: usize, i: usize) -> Result<Rgb> {
-        let at = 3 * (self.start(Section::ColorTable, ix, 0) + i);
-        let color = self.section(Section::Colors).get(at..at + 3);
-        let color = color.ok_or_else(|| self.column_error(Section::ColorTable, 0, ix, format!("has no colour {i}")))?;
+    /// Whether voxel `y` of column number `ix` is solid; and which run and which voxel it is of those that have colours,
+    /// counted in the column.
+    fn look(&self, ix: usize, y: u32) -> Result<(bool, Option<[usize; 2]>)> {
+        let Modes { encoding, color } = self.place.modes;
+        let exposes = color == ColorMode::Voxel || encoding == Encoding::Surface;
+        if let Some(heights) = self.heights() {
+            let solid = y < heights.height(ix);
+            let shown = if exposes { heights.find_exposed(ix, y) } else { solid.then_some([0, y as usize]) };
+            return Ok((solid, shown));
+        }
+        let (form, base) = self.list_form();
+        let Some(y) = y.checked_sub(base) else { return Ok((false, None)) };
+        let (start, column) = self.column(Section::GeometryTable, Section::Geometry, ix)?;
+        let Some(place) = column_rle::at_or_below(column, form, y) else { return Ok((false, None)) };
+        // A forged column's run may start above y.
+        let above = y.checked_sub(place.start).filter(|&above| above < place.len);
+        let shown = above.map(|above| [place.run, place.color.wrapping_add(above) as usize]);
+        if shown.is_none() {
+            return Ok((encoding == Encoding::Surface && self.fill(start / 2 + place.run), None));
+        }
+        if encoding == Encoding::Solid && color == ColorMode::Voxel {
+            let (_, column) = self.column(Section::ExposureTable, Section::Exposure, ix)?;
+            let found = column_rle::find(column, form, y);
+            return Ok((true, found.map(|(run, voxel)| [run, voxel as usize])));
+        }
+        Ok((true, shown))
+    }
+
+    /// The colour of a run and voxel that [`Blob::look`] found.
+    fn color(&self, ix: usize, [run, voxel]: [usize; 2]) -> Result<Rgb> {
+        let in_column = if self.place.modes.color == ColorMode::Voxel { voxel } else { run };
+        let i = match self.forms.painted {
+            Painted::Tile => 0,
+            Painted::Column => ix,
+            Painted::Run => self.start(Section::ColorTable, ix) + run,
+            Painted::Each => self.start(Section::ColorTable, ix) + in_column,
+        };
+        let color = self.section(Section::Colors).get(3 * i..3 * i + 3);
+        let color =
+            color.ok_or_else(|| self.column_error(Section::ColorTable, 0, ix, format!("has no colour {in_column}")))?;
         Ok([color[0], color[1], color[2]])
     }
 
-    /// All colours. `starts` is the number before each column, and in all.
-    fn colors(&self, starts: &[u64]) -> Result<Vec<Rgb>> {
-        let bytes = self.section(Section::Colors);
-        let n = starts[starts.len() - 1];
-        if bytes.len() as u64 != 3 * n {
-            let what = format!("{} bytes of colours, {} were expected", bytes.len(), 3 * n);
+    /// One colour a run of `of`, or one a voxel of them.
+    fn colors(&self, of: &Columns, voxels: bool) -> Result<Vec<Rgb>> {
+        let (colors, _) = self.section(Section::Colors).as_chunks::<3>();
+        let starts = match voxels {
+            true => of.voxel_offsets(),
+            false => of.offsets().iter().map(|&n| u64::from(n)).collect(),
+        };
+        // What the file holds one colour of, and how many of each follow it.
+        let stored = match self.forms.painted {
+            Painted::Tile => return Ok(vec![colors[0]; starts[starts.len() - 1] as usize]),
+            Painted::Column => {
+                let columns = colors.iter().zip(starts.windows(2));
+                return Ok(columns.flat_map(|(&c, n)| std::iter::repeat_n(c, (n[1] - n[0]) as usize)).collect());
+            }
+            Painted::Run => of.offsets().iter().map(|&n| u64::from(n)).collect(),
+            Painted::Each => starts,
+        };
+        let n = stored[stored.len() - 1];
+        if colors.len() as u64 != n {
+            let what = format!("{} bytes of colours, {} were expected", 3 * colors.len(), 3 * n);
             return Err(self.place.error(self.offset(Section::Colors), what));
         }
-        for (ix, &expected) in starts[..starts.len() - 1].iter().enumerate() {
-            let found = self.start(Section::ColorTable, ix, 0);
+        // A grouped table tells where groups start, the rest is counted in what was checked already.
+        let step = if self.forms.table(Section::ColorTable) == Table::Grouped { 1 << COLOR_GROUP_SHIFT } else { 1 };
+        for (ix, &expected) in stored[..stored.len() - 1].iter().enumerate().step_by(step) {
+            let found = self.start(Section::ColorTable, ix);
             if found as u64 != expected {
                 let what = format!("{found} colours before it, {expected} were expected");
                 return Err(self.column_error(Section::ColorTable, 0, ix, what));
             }
         }
-        Ok(bytes.as_chunks::<3>().0.to_vec())
+        Ok(match self.forms.painted {
+            Painted::Run => {
+                let runs = colors.iter().zip(of.runs());
+                runs.flat_map(|(&c, run)| std::iter::repeat_n(c, run.len() as usize)).collect()
+            }
+            _ => colors.to_vec(),
+        })
     }
 
     /// The figures of the directory must be those of the tile.
@@ -800,8 +1017,8 @@ mod tests {
 
     use super::*;
     use crate::testing::{self, voxel_positions};
-    use crate::write::{SceneWriter, write_scene, write_scene_to};
-    use crate::{BuildOptions, build};
+    use crate::write::{SceneWriter, write_scene, write_scene_with};
+    use crate::{BuildOptions, Feature, Features, build};
 
     const MODES: [(Encoding, ColorMode); 6] = [
         (Encoding::Solid, ColorMode::None),
@@ -817,10 +1034,21 @@ mod tests {
         build(testing::input(columns, color != ColorMode::None), &opts).unwrap()
     }
 
-    fn written(scene: &Scene) -> Vec<u8> {
+    fn written_with(scene: &Scene, features: Features) -> Vec<u8> {
         let mut bytes = std::io::Cursor::new(Vec::new());
-        write_scene_to(scene, &mut bytes, Path::new("a.pcast")).unwrap();
+        write_scene_with(scene, features, &mut bytes, Path::new("a.pcast")).unwrap();
         bytes.into_inner()
+    }
+
+    /// In the general layout.
+    fn written(scene: &Scene) -> Vec<u8> {
+        written_with(scene, Features::OFF)
+    }
+
+    fn features() -> impl Iterator<Item = Features> {
+        let single = Feature::ALL.map(|f| Features::from_iter([f]));
+        let without = Feature::ALL.map(|f| Feature::ALL.into_iter().filter(|&other| other != f).collect());
+        [Features::OFF, Features::ALL].into_iter().chain(single).chain(without)
     }
 
     fn opened(bytes: Vec<u8>) -> Result<PcastFile> {
@@ -861,10 +1089,38 @@ mod tests {
     fn check_round_trip(columns: Columns) {
         for mode in MODES {
             let scene = scene(columns.clone(), mode);
-            let file = opened(written(&scene)).unwrap();
-            assert_eq!(file.read_scene().unwrap(), scene, "{mode:?}");
-            check_queries(&file, &scene);
+            check_round_trip_of(&scene);
         }
+    }
+
+    fn check_round_trip_of(scene: &Scene) {
+        for features in features() {
+            let file = opened(written_with(scene, features)).unwrap();
+            assert_eq!(&file.read_scene().unwrap(), scene, "{:?} {:?} {features}", scene.encoding, scene.color);
+            check_queries(&file, scene);
+        }
+    }
+
+    /// The same scene in colours that are finer than they need to be.
+    fn repainted(scene: &Scene, by: u32) -> Scene {
+        let mut scene = scene.clone();
+        for level in &mut scene.levels {
+            let of = if scene.color == ColorMode::Voxel { level.exposed.as_ref() } else { None };
+            let of = of.unwrap_or(level.geometry(scene.encoding));
+            let mut i = 0;
+            let mut colors = Vec::new();
+            for (ix, k) in (0..of.offsets().len() - 1).flat_map(|ix| of.range(ix).map(move |k| (ix, k))) {
+                let n = if scene.color == ColorMode::Voxel { of.runs()[k].len() } else { 1 };
+                for _ in 0..n {
+                    let seed = [0, ix as u32, k as u32, i][by as usize];
+                    colors.push(testing::color_of(seed, seed / 7, seed / 3));
+                    i += 1;
+                }
+            }
+            assert_eq!(colors.len(), level.colors.len());
+            level.colors = colors;
+        }
+        scene
     }
 
     fn check_queries(file: &PcastFile, scene: &Scene) {
@@ -901,6 +1157,19 @@ mod tests {
         fn pcast_gives_back_tall_scenes(columns in testing::tall_world(900)) {
             check_round_trip(columns);
         }
+
+        #[test]
+        fn pcast_gives_back_height_fields(columns in testing::height_field()) {
+            check_round_trip(columns);
+        }
+
+        #[test]
+        fn pcast_gives_back_colors_that_are_finer_than_they_need_to_be(columns in testing::small_world()) {
+            for mode in MODES.into_iter().filter(|m| m.1 != ColorMode::None) {
+                let scene = scene(columns.clone(), mode);
+                (0..4).for_each(|by| check_round_trip_of(&repainted(&scene, by)));
+            }
+        }
     }
 
     /// Several tiles, some of them empty, hidden voxels across tile borders.
@@ -933,13 +1202,82 @@ mod tests {
         });
         for mode in MODES {
             let scene = Scene { mip_rule: MipRule::Majority, ..scene(columns.clone(), mode) };
-            let file = opened(written(&scene)).unwrap();
-            assert!(file.read_scene().unwrap() == scene, "{mode:?}");
-            let solid = |x, y, z| file.query(x, y, z).unwrap().solid;
-            assert!(solid(0, 0, 0) && solid(0, 40_000, 0) && solid(0, 65_535, 0));
-            assert!(!solid(1, 65_534, 0) && solid(1, 65_535, 0) && !solid(0, 9, 1));
-            assert!(solid(1, 65_282, 1) && !solid(1, 65_283, 1) && !solid(1, 65_535, 1));
+            for features in [Features::OFF, Features::ALL] {
+                let file = opened(written_with(&scene, features)).unwrap();
+                assert!(file.read_scene().unwrap() == scene, "{mode:?}");
+                let solid = |x, y, z| file.query(x, y, z).unwrap().solid;
+                assert!(solid(0, 0, 0) && solid(0, 40_000, 0) && solid(0, 65_535, 0));
+                assert!(!solid(1, 65_534, 0) && solid(1, 65_535, 0) && !solid(0, 9, 1));
+                assert!(solid(1, 65_282, 1) && !solid(1, 65_283, 1) && !solid(1, 65_535, 1));
+            }
+            // Heights that 16 bits do not hold, and those that just fit.
+            for low in [0, 1, 65_535, 65_536] {
+                let full = Columns::from_fn(2, 65_536, 1, |x, y, _| x == 1 || y < low);
+                let scene = self::scene(full, mode);
+                for features in [Features::OFF, Features::ALL] {
+                    let file = opened(written_with(&scene, features)).unwrap();
+                    assert!(file.read_scene().unwrap() == scene, "{mode:?} {low}");
+                    for y in [0, 1, 32_767, 65_534, 65_535] {
+                        assert_eq!(file.query(0, y, 0).unwrap().solid, y < i64::from(low), "{low}");
+                        assert!(file.query(1, y, 0).unwrap().solid);
+                    }
+                }
+            }
         }
+    }
+
+    /// A height field with a few caves in one of its tiles, and heights far from 0 in another.
+    fn mixed() -> Columns {
+        Columns::from_fn(520, 400, 20, |x, y, z| match x / 256 {
+            0 => y < 20 + (x * z) % 90 && !(x == 9 && z == 4),
+            1 => y > 130 && y < 180 + x % 100 && (y + x + z) % 40 > 5,
+            _ => y < 40,
+        })
+    }
+
+    #[test]
+    fn pcast_gives_back_mixtures_of_tiles_and_specializes_each() {
+        for mode in MODES {
+            let scene = scene(mixed(), mode);
+            for features in features() {
+                let bytes = written_with(&scene, features);
+                let file = opened(bytes.clone()).unwrap();
+                assert!(file.read_scene().unwrap() == scene, "{mode:?} {features}");
+                let report = crate::verify::verify(&file, false);
+                assert!(report.faults.is_empty(), "{mode:?} {features}: {report:?}");
+            }
+            let file = opened(written_with(&scene, Features::ALL)).unwrap();
+            assert_eq!(file.bytes[8], 3);
+            let lists = |tx| file.blob(0, tx, 0).unwrap().unwrap().forms().lists;
+            assert_eq!(lists(0), Lists::Heights { bytes: 1, base: 0 });
+            assert_eq!(lists(1), Lists::Runs { form: Form::Narrow, base: 131 });
+            assert_eq!(lists(2), Lists::Heights { bytes: 0, base: 40 });
+            let general = opened(written(&scene)).unwrap();
+            assert_eq!(general.bytes[8], 1);
+            assert!(file.file_len() < general.file_len(), "{mode:?}");
+        }
+    }
+
+    #[test]
+    fn pcast_with_nothing_left_out_is_of_version_1() {
+        // Two runs in one column, other runs in others: no table of the general layout is longer than it must be.
+        let scene = scene(Columns::from_fn(2, 3, 1, |x, y, _| x == 1 || y != 1), MODES[0]);
+        let only_heights = written_with(&scene, Features::from_iter([Feature::Heights, Feature::Lists]));
+        let file = opened(only_heights).unwrap();
+        assert_eq!(file.entries()[0].flags, 0);
+        for (features, version) in [(Features::OFF, 1), (Features::ALL, 3)] {
+            assert_eq!(written_with(&scene, features)[8], version);
+        }
+    }
+
+    #[test]
+    fn pcast_height_field_takes_a_byte_a_column() {
+        let field = Columns::from_fn(512, 200, 256, |x, y, z| y < 60 + (x + z) % 90);
+        let file = opened(written_with(&scene(field, MODES[0]), Features::ALL)).unwrap();
+        let level_0: u64 = file.entries()[..2].iter().map(|e| u64::from(e.len)).sum();
+        assert_eq!(level_0, 2 * (64 + 65_536));
+        let empty = scene(Columns::empty(4096, 65_536, 4096), MODES[0]);
+        assert!(written_with(&empty, Features::ALL).len() <= 64 << 10);
     }
 
     #[test]
@@ -953,7 +1291,7 @@ mod tests {
             let long = |s: Section| if s.present(mode.0, mode.1) { s.long_bit() } else { 0 };
             let colors = if mode.1 == ColorMode::None { 0 } else { 256 * 255 };
             assert!(colors < 65_536, "a row of colours still fits 16 bits");
-            assert_eq!(blob.header.long, long(Section::GeometryTable) | long(Section::ExposureTable));
+            assert_eq!(blob.header.forms, long(Section::GeometryTable) | long(Section::ExposureTable));
             assert!(file.read_scene().unwrap() == scene, "{mode:?}");
         }
     }
@@ -964,7 +1302,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.pcast");
         write_scene(&scene, &path).unwrap();
-        assert!(std::fs::read(&path).unwrap() == written(&scene));
+        assert!(std::fs::read(&path).unwrap() == written_with(&scene, Features::ALL));
         assert!(PcastFile::open(&path).unwrap().read_scene().unwrap() == scene);
         let error = |path: &Path| PcastFile::open(path).err().expect("no scene here").to_string();
         assert!(error(&dir.path().join("none")).contains("cannot open: "));
@@ -978,32 +1316,38 @@ mod tests {
         let scene = scene(hills(), (Encoding::Solid, ColorMode::Voxel));
         let with = |n: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
-            pool.install(|| written(&build(testing::input(hills(), true), &BuildOptions::default()).unwrap()))
+            let build = || build(testing::input(hills(), true), &BuildOptions::default()).unwrap();
+            pool.install(|| written_with(&build(), Features::ALL))
         };
         let bytes = with(1);
         assert!(bytes == with(4));
-        assert!(bytes == written(&scene));
+        assert!(bytes == written_with(&scene, Features::ALL));
     }
 
     #[test]
     fn pcast_stores_equal_tiles_once() {
-        let bytes = written(&scene(Columns::from_fn(1024, 9, 512, |_, y, _| y < 5), MODES[0]));
-        let file = opened(bytes).unwrap();
-        let offsets: Vec<u64> = file.entries()[..8].iter().map(|e| e.offset).collect();
-        assert_eq!(offsets, [offsets[0]; 8]);
-        assert_ne!(file.entries()[8].offset, offsets[0]);
-        file.read_scene().unwrap();
+        for features in [Features::OFF, Features::ALL] {
+            let bytes = written_with(&scene(Columns::from_fn(1024, 9, 512, |_, y, _| y < 5), MODES[0]), features);
+            let file = opened(bytes).unwrap();
+            let offsets: Vec<u64> = file.entries()[..8].iter().map(|e| e.offset).collect();
+            assert_eq!(offsets, [offsets[0]; 8]);
+            assert_ne!(file.entries()[8].offset, offsets[0]);
+            file.read_scene().unwrap();
+        }
     }
 
     #[test]
     fn pcast_blobs_and_sections_are_aligned() {
         for mode in MODES {
-            let file = opened(written(&scene(hills(), mode))).unwrap();
-            assert!(file.entries().iter().all(|e| e.offset % 16 == 0));
-            let blob = file.blob(0, 0, 0).unwrap().unwrap();
-            for section in Section::ALL {
-                assert_eq!(section.present(mode.0, mode.1), blob.offset(section) > 0);
-                assert_eq!(blob.offset(section) % 16, 0);
+            for features in features() {
+                let file = opened(written_with(&scene(hills(), mode), features)).unwrap();
+                assert!(file.entries().iter().all(|e| e.offset % 16 == 0));
+                let blob = file.blob(0, 0, 0).unwrap().unwrap();
+                for section in Section::ALL {
+                    let present = section.present(mode.0, mode.1);
+                    assert!(present == (blob.offset(section) > 0) || features != Features::OFF);
+                    assert_eq!(blob.offset(section) % 16, 0);
+                }
             }
         }
     }
@@ -1011,8 +1355,9 @@ mod tests {
     #[test]
     fn pcast_compressed_tiles_hold_the_same_and_damage_to_them_is_found() {
         for mode in MODES {
+            let (features, version) = if mode.1 == ColorMode::Run { (Features::ALL, 3) } else { (Features::OFF, 2) };
             let scene = scene(small(), mode);
-            let plain = opened(written(&scene)).unwrap();
+            let plain = opened(written_with(&scene, features)).unwrap();
             let mut bytes = std::io::Cursor::new(Vec::new());
             let modes = Modes { encoding: mode.0, color: mode.1 };
             let mut out = SceneWriter::new(&mut bytes, Path::new("a"), scene.dims(), modes, scene.mip_rule).unwrap();
@@ -1022,7 +1367,7 @@ mod tests {
             }
             out.finish().unwrap();
             let good = bytes.into_inner();
-            assert_eq!(good[8], 2);
+            assert_eq!(good[8], version);
             let file = opened(good.clone()).unwrap();
             assert!(file.read_scene().unwrap() == scene, "{mode:?}");
             check_queries(&file, &scene);
@@ -1042,7 +1387,8 @@ mod tests {
             let mut old = good;
             old[8] = 1;
             reseal(&mut old);
-            assert!(refused(old).contains("flags 0x2, at most 0x1 was expected"));
+            let flags = if version == 3 { "flags 0x6" } else { "flags 0x2" };
+            assert!(refused(old).contains(&format!("{flags}, at most 0x1 was expected")));
         }
     }
 
@@ -1051,11 +1397,17 @@ mod tests {
         Columns::from_fn(5, 9, 3, |x, y, z| y < 4 + x % 2 || y == 7 && z == 1)
     }
 
+    /// A height field with hidden voxels.
+    fn small_heights() -> Columns {
+        Columns::from_fn(5, 9, 4, |x, y, z| y < 2 + (x * z) % 6)
+    }
+
     #[test]
     fn pcast_damage_to_any_byte_is_found() {
-        for mode in MODES {
-            let scene = scene(small(), mode);
-            let good = written(&scene);
+        let worlds = [(small(), Features::OFF), (small(), Features::ALL), (small_heights(), Features::ALL)];
+        for (mode, (world, features)) in MODES.into_iter().flat_map(|m| worlds.clone().map(|w| (m, w))) {
+            let scene = scene(world, mode);
+            let good = written_with(&scene, features);
             for at in 0..good.len() {
                 for flip in [0x01, 0x80, 0xFF] {
                     let mut bytes = good.clone();
@@ -1077,11 +1429,18 @@ mod tests {
 
     #[test]
     fn pcast_forged_bytes_never_panic_and_never_give_a_broken_scene() {
-        for (world, mode) in [small(), Columns::from_fn(2, 300, 2, |x, y, _| y % 260 < 3 + x)]
-            .into_iter()
-            .flat_map(|world| MODES.map(|mode| (world.clone(), mode)))
-        {
-            let good = written(&scene(world, mode));
+        let tall = || Columns::from_fn(2, 300, 2, |x, y, _| y % 260 < 3 + x);
+        let raised = || Columns::from_fn(18, 300, 2, |x, y, z| y > 260 && (x + y + z) % 9 < 4);
+        let worlds = [
+            (small(), Features::OFF),
+            (small(), Features::ALL),
+            (tall(), Features::OFF),
+            (tall(), Features::ALL),
+            (raised(), Features::ALL),
+            (small_heights(), Features::ALL),
+        ];
+        for (mode, (world, features)) in MODES.into_iter().flat_map(|m| worlds.clone().map(|w| (m, w))) {
+            let good = written_with(&scene(world, mode), features);
             for at in 0..good.len() {
                 for value in [0, 1, 2, 0x7F, 0xFF, good[at] ^ 1, good[at].wrapping_add(1), good[at].wrapping_sub(1)] {
                     let mut bytes = good.clone();
@@ -1114,7 +1473,7 @@ mod tests {
             header(0, b"P"),
             "a.pcast: not a .pcast scene (byte 0: other magic number); make one with `planecast encode`"
         );
-        assert_eq!(header(8, &[3]), "a.pcast: byte 8: version 3 of .pcast, this program reads versions 1 and 2");
+        assert_eq!(header(8, &[4]), "a.pcast: byte 8: version 4 of .pcast, this program reads versions 1 to 3");
         assert_eq!(header(24, &[7]), "a.pcast: byte 24: encoding 7, 0 or 1 was expected");
         assert_eq!(header(27, &[9]), "a.pcast: byte 27: 9 levels, 4 were expected");
         assert_eq!(header(32, &[8]), "a.pcast: byte 32: a directory of 4 tiles at byte 8 does not fit the file");

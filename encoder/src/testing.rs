@@ -38,6 +38,14 @@ pub fn tall_world(ny: u32) -> impl Strategy<Value = Columns> {
     })
 }
 
+/// Columns of any height from the ground up, some of them of equal heights.
+pub fn height_field() -> impl Strategy<Value = Columns> {
+    (1u32..9, 1u32..7, prop_oneof![1u32..5, 250u32..260, 900u32..1000]).prop_flat_map(|(nx, nz, ny)| {
+        prop::collection::vec(prop_oneof![0..=ny, ny - ny.min(4)..=ny], (nx * nz) as usize)
+            .prop_map(move |heights| Columns::from_fn(nx, ny, nz, |x, y, z| y < heights[(z * nx + x) as usize]))
+    })
+}
+
 /// A colour that tells where it comes from.
 pub fn color_of(x: u32, y: u32, z: u32) -> Rgb {
     [(x * 37 + 11) as u8, (y * 5 + 3) as u8, (z * 53 + x + 7 * y) as u8]

@@ -1,5 +1,6 @@
 //! Scenes to `.pcast` files, and files written whole or not at all.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -11,8 +12,11 @@ use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
+use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, GROUP_SHIFTS, HeightBytes, Lists, Painted, Table};
 use crate::read::Modes;
-use crate::{ColorMode, Columns, Encoding, Error, Level, MipRule, Result, Rgb, Scene, exposure};
+use crate::{
+    ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
+};
 
 /// Writes `path` whole or not at all: into a new file beside it, which is synced and then takes its name. What
 /// stood under the name stays until then.
@@ -80,6 +84,11 @@ pub fn write_scene(scene: &Scene, path: &Path) -> Result<()> {
 
 /// The same bytes into `out`, from its start. `path` is what errors call it.
 pub fn write_scene_to(scene: &Scene, out: &mut (impl Write + Seek), path: &Path) -> Result<()> {
+    write_scene_with(scene, Features::ALL, out, path)
+}
+
+/// The same with tiles that leave out only what `features` says.
+pub fn write_scene_with(scene: &Scene, features: Features, out: &mut (impl Write + Seek), path: &Path) -> Result<()> {
     let grids = format::grids(scene.dims());
     let levels = scene
         .levels
@@ -100,7 +109,7 @@ pub fn write_scene_to(scene: &Scene, out: &mut (impl Write + Seek), path: &Path)
     }
     // Some at a time, so that a scene's blobs need not all fit into memory beside it.
     for batch in tiles.chunks(128) {
-        file.push(batch.par_iter().map(|&(level, tx, tz)| level.blob(tx, tz)).collect::<Result<_>>()?)?;
+        file.push(batch.par_iter().map(|&(level, tx, tz)| level.blob(tx, tz, features)).collect::<Result<_>>()?)?;
     }
     file.finish()
 }
@@ -157,9 +166,12 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
                     self.at = entry.offset + blob.len() as u64;
                 }
             }
-            if entry.flags & format::COMPRESSED != 0 {
-                self.header.version = format::VERSION_COMPRESSED;
-            }
+            let version = match entry.flags {
+                flags if flags & format::SPECIALIZED != 0 => format::VERSION_SPECIALIZED,
+                flags if flags & format::COMPRESSED != 0 => format::VERSION_COMPRESSED,
+                _ => format::VERSION,
+            };
+            self.header.version = self.header.version.max(version);
             self.entries.push(entry);
         }
         Ok(())
@@ -201,7 +213,7 @@ struct LevelSource<'a> {
     k: usize,
     level: &'a Level,
     grid: Grid,
-    exposed: std::borrow::Cow<'a, Columns>,
+    exposed: Cow<'a, Columns>,
     /// Position of each column's first colour in `level.colors`; empty without colours.
     first_color: Vec<u64>,
 }
@@ -223,8 +235,8 @@ impl<'a> LevelSource<'a> {
             return wrong("has no exposed runs".into());
         }
         let exposed = match &level.exposed {
-            Some(exposed) => std::borrow::Cow::Borrowed(exposed),
-            None => std::borrow::Cow::Owned(exposure::exposed(&level.solid)),
+            Some(exposed) => Cow::Borrowed(exposed),
+            None => Cow::Owned(exposure::exposed(&level.solid)),
         };
         let first_color = match scene.color {
             ColorMode::None => Vec::new(),
@@ -239,7 +251,7 @@ impl<'a> LevelSource<'a> {
     }
 
     /// The directory entry of a tile, less its offset, and its blob; no bytes where the tile is empty.
-    fn blob(&self, tx: u32, tz: u32) -> Result<(TileEntry, Vec<u8>)> {
+    fn blob(&self, tx: u32, tz: u32, features: Features) -> Result<(TileEntry, Vec<u8>)> {
         let [xs, zs] = self.grid.columns(tx, tz);
         let mut colors: Vec<Rgb> = Vec::new();
         if !self.first_color.is_empty() {
@@ -254,7 +266,8 @@ impl<'a> LevelSource<'a> {
             exposed: Some(self.exposed.crop(xs, zs)),
             colors,
         };
-        tile_blob(&tile, self.scene.encoding, self.scene.color).map_err(|len| too_long(self.k, tx, tz, len))
+        let modes = Modes { encoding: self.scene.encoding, color: self.scene.color };
+        tile_blob(&tile, modes, features).map_err(|len| too_long(self.k, tx, tz, len))
     }
 }
 
@@ -264,12 +277,10 @@ pub(crate) fn too_long(level: usize, tx: u32, tz: u32, len: usize) -> Error {
 
 /// The directory entry of a tile, less its offset, and its blob; no bytes where the tile is empty. The tile has its
 /// exposed runs whatever the modes. An error is the number of bytes, beyond 32 bits.
-pub(crate) fn tile_blob(tile: &Level, encoding: Encoding, color: ColorMode) -> Result<(TileEntry, Vec<u8>), usize> {
+pub(crate) fn tile_blob(tile: &Level, modes: Modes, features: Features) -> Result<(TileEntry, Vec<u8>), usize> {
     let solid = &tile.solid;
     let exposed = tile.exposed.as_ref().expect("tiles to write have exposed runs");
-    let geometry = tile.geometry(encoding);
-    let n_columns = solid.offsets().len() - 1;
-    let form = Form::of(solid.ny());
+    let geometry = tile.geometry(modes.encoding);
     if solid.runs().is_empty() {
         return Ok((TileEntry { flags: format::EMPTY, ..TileEntry::zeroed() }, Vec::new()));
     }
@@ -285,51 +296,21 @@ pub(crate) fn tile_blob(tile: &Level, encoding: Encoding, color: ColorMode) -> R
         entry.y_max = entry.y_max.max(run.last());
     }
 
-    let mut blob = Blob::new(solid.nx() as u16, solid.nz() as u16);
-    let lists = |of: &Columns| {
-        let mut starts = Vec::with_capacity(n_columns);
-        let mut bytes = Vec::with_capacity(4 * of.runs().len());
-        for ix in 0..n_columns {
-            starts.push(bytes.len() as u64);
-            column_rle::encode(&of.runs()[of.range(ix)], form, &mut bytes);
-        }
-        (starts, bytes)
-    };
-    let (starts, bytes) = lists(geometry);
-    blob.table(Section::GeometryTable, &starts);
-    blob.section(Section::Geometry, &bytes);
-    if encoding == Encoding::Surface {
-        let mut fill = vec![0; bytes.len().div_ceil(16)];
-        for (ix, start) in starts.iter().enumerate() {
-            let mut inside = solid.runs()[solid.range(ix)].iter();
-            let mut run = inside.next();
-            for (i, shown) in geometry.runs()[geometry.range(ix)].iter().enumerate() {
-                while run.is_some_and(|r| r.last() < shown.first()) {
-                    run = inside.next();
-                }
-                // The ends of a solid run are exposed, so what follows inside it is hidden.
-                if run.is_some_and(|r| r.last() > shown.last()) {
-                    let bit = *start as usize / 2 + i;
-                    fill[bit / 8] |= 1 << (bit % 8);
-                }
+    let mut blob = Blob::new(solid, features);
+    let shown = modes.shows().then_some(exposed);
+    match features.has(Feature::Heights).then(|| HeightBytes::of(solid, shown)).flatten() {
+        Some(heights) => {
+            blob.forms.lists = Lists::Heights { bytes: heights.bytes, base: heights.base };
+            blob.section(Section::Geometry, &heights.above);
+            if shown.is_some() {
+                blob.section(Section::Exposure, &heights.edges);
             }
         }
-        blob.section(Section::Fill, &fill);
-    } else if color == ColorMode::Voxel {
-        let (starts, bytes) = lists(exposed);
-        blob.table(Section::ExposureTable, &starts);
-        blob.section(Section::Exposure, &bytes);
+        None => blob.lists(tile, modes, entry.y_min..=entry.y_max),
     }
-    if color != ColorMode::None {
-        let mut starts: Vec<u64> = match color {
-            ColorMode::Voxel => exposed.voxel_offsets(),
-            _ => geometry.offsets().iter().map(|&n| u64::from(n)).collect(),
-        };
-        starts.pop();
-        blob.table(Section::ColorTable, &starts);
-        blob.section(Section::Colors, tile.colors.as_flattened());
-    }
-    let blob = blob.finish()?;
+    blob.colors(tile, modes);
+    let (blob, specialized) = blob.finish()?;
+    entry.flags = if specialized { format::SPECIALIZED } else { 0 };
     entry.len = blob.len() as u32;
     entry.checksum = xxh3_64(&blob);
     Ok((entry, blob))
@@ -338,12 +319,25 @@ pub(crate) fn tile_blob(tile: &Level, encoding: Encoding, color: ColorMode) -> R
 /// A blob under construction. Offsets may pass 32 bits until [`Blob::finish`] looks.
 struct Blob {
     header: BlobHeader,
+    /// Height of the level.
+    ny: u32,
+    n_columns: usize,
+    features: Features,
+    forms: Forms,
     bytes: Vec<u8>,
 }
 
 impl Blob {
-    fn new(width: u16, depth: u16) -> Blob {
-        Blob { header: BlobHeader { width, depth, ..BlobHeader::zeroed() }, bytes: vec![0; size_of::<BlobHeader>()] }
+    fn new(columns: &Columns, features: Features) -> Blob {
+        let [width, ny, depth] = columns.dims();
+        Blob {
+            header: BlobHeader { width: width as u16, depth: depth as u16, ..BlobHeader::zeroed() },
+            ny,
+            n_columns: width as usize * depth as usize,
+            features,
+            forms: Forms::general(ny),
+            bytes: vec![0; size_of::<BlobHeader>()],
+        }
     }
 
     fn section(&mut self, section: Section, bytes: &[u8]) {
@@ -352,27 +346,232 @@ impl Blob {
         self.bytes.extend(bytes);
     }
 
-    fn table(&mut self, section: Section, starts: &[u64]) {
+    /// The sections of a tile's run lists, whose runs lie between `heights`.
+    fn lists(&mut self, tile: &Level, modes: Modes, heights: std::ops::RangeInclusive<u16>) {
+        let (solid, geometry) = (&tile.solid, tile.geometry(modes.encoding));
+        let exposed =
+            tile.exposed.as_ref().filter(|_| modes == Modes { encoding: Encoding::Solid, color: ColorMode::Voxel });
+        if self.features.has(Feature::Lists) && self.ny > 256 {
+            let bytes = |form: Form| {
+                let lists = [Some(geometry), exposed].into_iter().flatten();
+                lists.map(|of| list_lens(of, form).sum::<usize>()).sum::<usize>()
+            };
+            if heights.end() - heights.start() < 256 {
+                self.forms.lists = Lists::Runs { form: Form::Narrow, base: u32::from(*heights.start()) };
+            } else if bytes(Form::Flat) < bytes(Form::Wide) {
+                self.forms.lists = Lists::Runs { form: Form::Flat, base: 0 };
+            }
+        }
+        let made = [Some(geometry), exposed].map(|of| of.map(|of| self.encoded(of)));
+        if self.features.has(Feature::Tables) {
+            // One size of group for both tables, small enough for both.
+            let fits =
+                |shift: u32| made.iter().flatten().all(|(starts, _)| fits_groups(starts, shift, self.forms.unit()));
+            self.forms.group_shift = GROUP_SHIFTS.into_iter().find(|&shift| fits(shift)).unwrap_or(GROUP_SHIFTS[2]);
+        }
+        let [of_geometry, of_exposed] = made;
+        let (starts, bytes) = of_geometry.expect("every tile has geometry");
+        self.table(Section::GeometryTable, &starts, bytes.len() as u64);
+        self.section(Section::Geometry, &bytes);
+        if modes.encoding == Encoding::Surface {
+            let mut fill = vec![0; bytes.len().div_ceil(16)];
+            for (ix, start) in starts.iter().enumerate() {
+                let mut inside = solid.runs()[solid.range(ix)].iter();
+                let mut run = inside.next();
+                for (i, shown) in geometry.runs()[geometry.range(ix)].iter().enumerate() {
+                    while run.is_some_and(|r| r.last() < shown.first()) {
+                        run = inside.next();
+                    }
+                    // The ends of a solid run are exposed, so what follows inside it is hidden.
+                    if run.is_some_and(|r| r.last() > shown.last()) {
+                        let bit = *start as usize / 2 + i;
+                        fill[bit / 8] |= 1 << (bit % 8);
+                    }
+                }
+            }
+            self.section(Section::Fill, &fill);
+        }
+        if let Some((starts, bytes)) = of_exposed {
+            self.table(Section::ExposureTable, &starts, bytes.len() as u64);
+            self.section(Section::Exposure, &bytes);
+        }
+        // What is not there has no form.
+        if exposed.is_none() {
+            self.forms.tables[1] = Table::Short;
+        }
+        if !self.forms.tables[..2].contains(&Table::Grouped) {
+            self.forms.group_shift = Forms::general(self.ny).group_shift;
+        }
+    }
+
+    /// The lists of all columns, and where each starts.
+    fn encoded(&self, of: &Columns) -> (Vec<u64>, Vec<u8>) {
+        let Lists::Runs { form, base } = self.forms.lists else {
+            unreachable!("only tiles without heights have lists")
+        };
+        let mut starts = Vec::with_capacity(self.n_columns);
+        let mut bytes = Vec::with_capacity(4 * of.runs().len());
+        let mut lowered = Vec::new();
+        for ix in 0..self.n_columns {
+            starts.push(bytes.len() as u64);
+            let runs = &of.runs()[of.range(ix)];
+            if base == 0 {
+                column_rle::encode(runs, form, &mut bytes);
+            } else {
+                let base = base as u16;
+                lowered.clear();
+                lowered.extend(runs.iter().map(|r| Run::new(r.first() - base, r.last() - base)));
+                column_rle::encode(&lowered, form, &mut bytes);
+            }
+        }
+        (starts, bytes)
+    }
+
+    /// A table of where columns start in the section that follows it, which holds `total`.
+    fn table(&mut self, section: Section, starts: &[u64], total: u64) {
+        let n = starts.len() as u64;
+        let shift = self.forms.group_shift;
         let rows = || starts.chunks(self.header.width as usize);
         let mut bytes = Vec::with_capacity(starts.len() * 4);
-        if rows().all(|row| row[row.len() - 1] - row[0] <= u64::from(u16::MAX)) {
+        let form = if self.features.has(Feature::Tables) && evenly(starts, total) {
+            *self.forms.table_mut(section) = Table::Even;
+            return;
+        } else if self.features.has(Feature::Tables) && section == Section::ColorTable {
+            bytes.extend(starts.iter().step_by(1 << COLOR_GROUP_SHIFT).flat_map(|&s| (s as u32).to_le_bytes()));
+            Table::Grouped
+        } else if self.features.has(Feature::Tables) && fits_groups(starts, shift, self.forms.unit()) {
+            let unit = self.forms.unit() as u64;
+            bytes.extend(starts.iter().step_by(1 << shift).flat_map(|&s| (s as u32).to_le_bytes()));
+            bytes.extend(starts.chunks(1 << shift).flat_map(|g| g.iter().map(|s| ((s - g[0]) / unit) as u8)));
+            Table::Grouped
+        } else if rows().all(|row| row[row.len() - 1] - row[0] <= u64::from(u16::MAX)) {
             rows().for_each(|row| bytes.extend((row[0] as u32).to_le_bytes()));
             rows().for_each(|row| bytes.extend(row.iter().flat_map(|s| ((s - row[0]) as u16).to_le_bytes())));
+            Table::Short
         } else {
-            self.header.long |= section.long_bit();
             bytes.extend(starts.iter().flat_map(|&s| (s as u32).to_le_bytes()));
-        }
+            Table::Long
+        };
+        debug_assert_eq!(n as usize, self.n_columns);
+        *self.forms.table_mut(section) = form;
         self.section(section, &bytes);
     }
 
-    /// The bytes, or their number where it is beyond 32 bits.
-    fn finish(mut self) -> Result<Vec<u8>, usize> {
+    /// The sections of a tile's colours.
+    fn colors(&mut self, tile: &Level, modes: Modes) {
+        let exposed = tile.exposed.as_ref().expect("tiles to write have exposed runs");
+        let counts = |of: &Columns| of.offsets().iter().map(|&n| u64::from(n)).collect::<Vec<u64>>();
+        let mut starts: Vec<u64> = match modes.color {
+            ColorMode::None => return,
+            ColorMode::Run => counts(tile.geometry(modes.encoding)),
+            ColorMode::Voxel => exposed.voxel_offsets(),
+        };
+        let colors = &tile.colors;
+        let same = |colors: &[Rgb]| colors.windows(2).all(|pair| pair[0] == pair[1]);
+        let first_of = |starts: &[u64]| -> Option<Vec<Rgb>> {
+            let mut first = Vec::with_capacity(starts.len());
+            for part in starts.windows(2) {
+                let part = &colors[part[0] as usize..part[1] as usize];
+                if !same(part) {
+                    return None;
+                }
+                first.push(part.first().copied().unwrap_or_default());
+            }
+            Some(first)
+        };
+        let mut kept: Cow<[Rgb]> = Cow::Borrowed(colors);
+        if self.features.has(Feature::Colors) {
+            let n_runs = if modes.color == ColorMode::Voxel { exposed.runs().len() } else { colors.len() };
+            if same(colors) {
+                (self.forms.painted, kept) = (Painted::Tile, vec![colors[0]].into());
+            } else if self.n_columns <= n_runs
+                && let Some(of_columns) = first_of(&starts)
+            {
+                (self.forms.painted, kept) = (Painted::Column, of_columns.into());
+            } else if modes.color == ColorMode::Voxel
+                && n_runs < colors.len()
+                && let Some(of_runs) = first_of(&run_starts(exposed))
+            {
+                (self.forms.painted, kept) = (Painted::Run, of_runs.into());
+                starts = counts(exposed);
+            }
+        }
+        if let Painted::Each | Painted::Run = self.forms.painted {
+            let total = starts.pop().expect("one more than there are columns");
+            self.table(Section::ColorTable, &starts, total);
+        }
+        self.section(Section::Colors, kept.as_flattened());
+    }
+
+    /// The bytes, and whether any form is another than in the general layout. An error is their number, beyond 32 bits.
+    fn finish(mut self) -> Result<(Vec<u8>, bool), usize> {
         if u32::try_from(self.bytes.len()).is_err() {
             return Err(self.bytes.len());
         }
+        self.header.forms = self.forms.pack(self.ny);
         self.bytes[..size_of::<BlobHeader>()].copy_from_slice(bytemuck::bytes_of(&self.header));
-        Ok(self.bytes)
+        Ok((self.bytes, self.header.forms & !GENERAL != 0))
     }
+}
+
+/// Bytes that the sections of a tile take in the general layout.
+pub(crate) fn general_lens(tile: &Level, modes: Modes) -> [u64; 7] {
+    let mut lens = [0; 7];
+    let form = Form::of(tile.solid.ny());
+    let (width, depth) = (tile.solid.nx() as usize, tile.solid.nz() as usize);
+    // From what each column takes of a section, in units of so many bytes.
+    let mut columns = |table: Section, each: Vec<u64>, unit: u64| {
+        let before_last = |row: &[u64]| row[..row.len() - 1].iter().sum::<u64>();
+        let short = each.chunks(width).all(|row| before_last(row) <= u64::from(u16::MAX));
+        lens[table as usize] = (if short { 4 * depth + 2 * width * depth } else { 4 * width * depth }) as u64;
+        lens[table.columns() as usize] = unit * each.iter().sum::<u64>();
+    };
+    let lists = |of: &Columns| list_lens(of, form).map(|n| n as u64).collect();
+    columns(Section::GeometryTable, lists(tile.geometry(modes.encoding)), 1);
+    if let (Some(exposed), Encoding::Solid) = (&tile.exposed, modes.encoding) {
+        columns(Section::ExposureTable, lists(exposed), 1);
+    }
+    match (modes.color, &tile.exposed) {
+        (ColorMode::Voxel, Some(exposed)) => {
+            let n_colors = exposed.voxel_offsets().windows(2).map(|n| n[1] - n[0]).collect();
+            columns(Section::ColorTable, n_colors, 3);
+        }
+        (ColorMode::Run, _) => {
+            let offsets = tile.geometry(modes.encoding).offsets();
+            columns(Section::ColorTable, offsets.windows(2).map(|n| u64::from(n[1] - n[0])).collect(), 3);
+        }
+        _ => {}
+    }
+    if modes.encoding == Encoding::Surface {
+        lens[Section::Fill as usize] = lens[Section::Geometry as usize].div_ceil(16);
+    }
+    lens
+}
+
+/// Bytes of the list of each column.
+pub(crate) fn list_lens(of: &Columns, form: Form) -> impl Iterator<Item = usize> {
+    (0..of.offsets().len() - 1).map(move |ix| form.len(&of.runs()[of.range(ix)]))
+}
+
+/// Whether all columns take the same of `total`.
+fn evenly(starts: &[u64], total: u64) -> bool {
+    let n = starts.len() as u64;
+    total.is_multiple_of(n) && starts.iter().zip(0..).all(|(&start, ix)| start == total / n * ix)
+}
+
+/// Whether offsets within groups of columns, in units, fit a byte.
+fn fits_groups(starts: &[u64], shift: u32, unit: usize) -> bool {
+    starts.chunks(1 << shift).all(|group| group[group.len() - 1] - group[0] <= 255 * unit as u64)
+}
+
+/// Voxels before each run, and in all.
+fn run_starts(columns: &Columns) -> Vec<u64> {
+    let mut n = 0;
+    let ends = columns.runs().iter().map(|r| {
+        n += u64::from(r.len());
+        n
+    });
+    std::iter::once(0).chain(ends).collect()
 }
 
 #[cfg(test)]

@@ -72,6 +72,34 @@ fn cli_faults_of_the_input_exit_with_1_and_of_the_command_line_with_2() {
 }
 
 #[test]
+fn cli_specialize_leaves_out_what_is_named_and_info_tells() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    // 300 columns on a slope, one of them with a gap.
+    let volume: Vec<u8> = (0..300 * 300u32).map(|i| u8::from(i / 300 < 20 + i % 300 / 2 && i != 9 + 300 * 5)).collect();
+    std::fs::write(dir.join("a.raw"), &volume).unwrap();
+    let encode = |how: &str| {
+        ok(dir, &["encode", "a.raw", "--dims", "300,300,1", "-o", "a.pcast", "--specialize", how]);
+        ok(dir, &["decode", "a.pcast", "-o", "b.raw"]);
+        assert_eq!(std::fs::read(dir.join("b.raw")).unwrap(), volume, "{how}");
+        let info: serde_json::Value = serde_json::from_str(&ok(dir, &["info", "a.pcast", "--json"])).unwrap();
+        let left_out = info["specialization"]["left_out"].as_array().unwrap();
+        let mut features: Vec<String> =
+            left_out.iter().filter_map(|p| Some(p["feature"].as_str()?.to_owned())).collect();
+        features.sort();
+        (std::fs::read(dir.join("a.pcast")).unwrap()[8], features.join(" "))
+    };
+    assert_eq!(encode("off"), (1, String::new()));
+    assert_eq!(encode("heights"), (3, "heights".into()));
+    assert_eq!(encode("tables,lists"), (3, "lists tables".into()));
+    assert_eq!(encode("auto"), (3, "heights lists tables".into()));
+    let (status, text) =
+        fails(dir, &["encode", "a.raw", "--dims", "300,300,1", "-o", "c.pcast", "--specialize", "hights"]);
+    assert_eq!(status, Some(2));
+    assert!(text.contains("\"hights\" is no feature"), "{text}");
+}
+
+#[test]
 fn cli_colours_what_has_no_colours_grey_where_asked() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

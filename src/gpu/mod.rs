@@ -16,10 +16,11 @@ use crate::cpu::shade;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Remap, Shading};
+use crate::options::{Options, Shading};
 use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::resident::Resident;
+use crate::specialize::{Feature, Specialization, Twin};
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
 use resident::GpuResident;
@@ -381,7 +382,7 @@ impl<'a> GpuRenderer<'a> {
         let setup = plane_setup(self.resident, camera, options);
         self.check_steps(&setup, options)?;
         let upload = Upload::new(self.resident, &setup, camera, options);
-        let plan = Plan::new(&setup, camera, options, outputs, &self.options, &self.engine);
+        let plan = Plan::new(self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
         self.upload(&upload, camera);
 
@@ -394,7 +395,9 @@ impl<'a> GpuRenderer<'a> {
             Begin::Planes(buffer) => {
                 self.write("plane_color", bytemuck::cast_slice(&buffer.color));
                 self.write("plane_depth", bytemuck::cast_slice(&buffer.depth));
-                self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
+                if plan.plane_voxel {
+                    self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
+                }
                 self.remap(&mut encoder, &plan)?;
             }
             Begin::Image { color, depth } => {
@@ -420,6 +423,7 @@ impl<'a> GpuRenderer<'a> {
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels_drawn = setup.levels;
+        frame.stats.left_out = plan.specialization.left_out();
         frame.stats.bytes_scene_gpu = self.tables.bytes;
         Ok(Drawn::Sent { plan, frame, start, setup_ms })
     }
@@ -455,10 +459,12 @@ struct Plan {
     gap_fill: bool,
     n_counters: u32,
     shading: Shading,
+    specialization: Specialization,
 }
 
 impl Plan {
     fn new(
+        resident: &Resident,
         setup: &Setup,
         camera: &Camera,
         options: &Options,
@@ -466,7 +472,7 @@ impl Plan {
         gpu: &GpuOptions,
         engine: &Engine,
     ) -> Plan {
-        let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
+        let retest = setup.retests(camera, options);
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
         let longest = setup.fans.iter().filter(|f| f.n_planes > 0).map(|f| f.n_samples).max().unwrap_or(0).max(1);
@@ -484,11 +490,12 @@ impl Plan {
             words: 0,
             plane_voxel: outputs.voxel || retest,
             image_voxel: outputs.voxel,
-            retest: retest && (!sparse || options.gap_fill),
+            retest,
             sparse,
             gap_fill: options.gap_fill,
             n_counters: 0,
             shading: options.shading,
+            specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
         match gpu.kernel {
             Kernel::Invocation => {
@@ -504,7 +511,8 @@ impl Plan {
                 plan.lanes = gpu.lanes.unwrap_or(workgroup_lanes(plan.pixels())).min(most);
                 let fine = plan.fine();
                 // As the shader lays them out.
-                plan.words = fine + fine / 4 + 3 * (fine / 16);
+                let ground = plan.specialization.has(Feature::Horizon);
+                plan.words = if ground { fine } else { fine + fine / 4 + 3 * (fine / 16) };
                 plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
@@ -523,6 +531,17 @@ impl Plan {
     /// Keys of a plane's samples, in steps: few sizes make few pipelines.
     fn fine(&self) -> u32 {
         self.longest.next_multiple_of(64)
+    }
+
+    /// What the shaders' text depends on beside the stage.
+    fn defines(&self) -> Vec<&'static str> {
+        let defines = [(Feature::Heights, "HEIGHTS"), (Feature::Packed, "PACKED"), (Feature::LateColor, "LATE_COLOR")];
+        defines.into_iter().filter(|(f, _)| self.specialization.has(*f)).map(|(_, name)| name).collect()
+    }
+
+    /// Bytes of the lines that lead from pixels to planes.
+    fn lines(&self) -> u64 {
+        u64::from(self.height + 2 * self.width) * size_of::<types::Line>() as u64
     }
 
     fn gathers(&self) -> bool {
@@ -565,12 +584,11 @@ impl GpuRenderer<'_> {
             ("frame", size_of::<FrameParams>() as u64, U::UNIFORM),
             ("times", 8 * u64::from(TIMES), U::QUERY_RESOLVE),
             ("planes", u64::from(plan.n_planes) * size_of::<types::Plane>() as u64, U::STORAGE),
-            ("lines", u64::from(plan.height + 2 * plan.width) * size_of::<types::Line>() as u64, U::STORAGE),
-            ("bounds", 16 * u64::from(plan.n_planes + 2), U::STORAGE),
+            ("lines", plan.lines() + 16 * u64::from(plan.n_planes), U::STORAGE),
             ("spiral", 8 * 16 * u64::from(shade::SSAO_SAMPLES), U::STORAGE),
-            ("plane_color", 4 * planes, U::STORAGE),
+            ("plane_color", if plan.specialization.has(Feature::LateColor) { 0 } else { 4 * planes }, U::STORAGE),
             ("plane_depth", 4 * planes, U::STORAGE),
-            ("plane_voxel", 16 * plane_voxel, U::STORAGE),
+            ("plane_voxel", if plan.specialization.has(Feature::Packed) { 8 } else { 16 } * plane_voxel, U::STORAGE),
             ("image_color", 4 * pixels, U::STORAGE),
             ("image_depth", 4 * pixels, U::STORAGE),
             ("image_voxel", 16 * image_voxel, U::STORAGE),
@@ -578,8 +596,7 @@ impl GpuRenderer<'_> {
             ("index", 4 * index, U::STORAGE),
             ("filled", 4 * index, U::STORAGE),
             ("holes", 4, U::STORAGE),
-            ("counters", 12 * u64::from(plan.n_counters), U::STORAGE),
-            ("spill", spill, U::STORAGE),
+            ("scratch", 12 * u64::from(plan.n_counters) + spill, U::STORAGE),
         ];
         let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
         for (name, size, usage) in sizes {
@@ -610,14 +627,18 @@ impl GpuRenderer<'_> {
         self.write("frame", bytemuck::bytes_of(&upload.frame));
         self.write("planes", bytemuck::cast_slice(&upload.planes));
         self.write("lines", bytemuck::cast_slice(&upload.lines));
-        self.write("bounds", bytemuck::cast_slice(&upload.bounds));
+        self.write_at("lines", size_of_val(&upload.lines[..]) as u64, bytemuck::cast_slice(&upload.stripes));
         self.write("holes", &[0; 4]);
         self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), shade::SSAO_SAMPLES)));
     }
 
     fn write(&self, name: &str, bytes: &[u8]) {
+        self.write_at(name, 0, bytes);
+    }
+
+    fn write_at(&self, name: &str, at: u64, bytes: &[u8]) {
         if !bytes.is_empty() {
-            self.engine.queue.write_buffer(&self.buffers[name], 0, bytes);
+            self.engine.queue.write_buffer(&self.buffers[name], at, bytes);
         }
     }
 
@@ -674,8 +695,12 @@ impl GpuRenderer<'_> {
             ("VOXEL", on(voxel)),
             ("COARSE", on(culling.coarse)),
             ("WIDTH", f64::from(plan.lanes)),
+            ("REPEATS", on(!plan.specialization.has(Feature::Bounded))),
+            ("ONE_LEVEL", on(plan.specialization.has(Feature::OneLevel))),
+            ("UPRIGHT", on(plan.specialization.has(Feature::Upright))),
         ];
-        let (name, defines, groups): (_, &[&'static str], _) = match plan.kernel {
+        let mut defines = plan.defines();
+        let (name, groups) = match plan.kernel {
             Kernel::Invocation => {
                 constants.extend([
                     ("HORIZON", on(culling.horizon)),
@@ -684,41 +709,52 @@ impl GpuRenderer<'_> {
                     ("BITS", on(culling.bits)),
                     ("WORDS", f64::from(plan.words)),
                 ]);
-                let defines: &[_] = if plan.spill { &["STORAGE_BITS"] } else { &[] };
-                ("traverse_invocation", defines, [groups(plan.n_planes, plan.lanes), 1])
+                if plan.spill {
+                    defines.push("STORAGE_BITS");
+                }
+                ("traverse_invocation", [groups(plan.n_planes, plan.lanes), 1])
             }
             Kernel::Workgroup => {
                 constants.extend([("HORIZON", on(culling.horizon)), ("FINE", f64::from(plan.fine()))]);
-                let defines: &[_] = if plan.spill { &["STORAGE_KEYS"] } else { &[] };
+                if plan.spill {
+                    defines.push("STORAGE_KEYS");
+                }
+                if plan.specialization.has(Feature::Horizon) {
+                    defines.push("GROUND");
+                }
                 let x = plan.n_planes.min(GROUPS_A_ROW);
-                ("traverse_workgroup", defines, [x, groups(plan.n_planes, x.max(1))])
+                ("traverse_workgroup", [x, groups(plan.n_planes, x.max(1))])
             }
-            Kernel::Raycast => ("raycast", &[], [groups(plan.width, 8), groups(plan.height, 8)]),
+            Kernel::Raycast => ("raycast", [groups(plan.width, 8), groups(plan.height, 8)]),
         };
-        let pipeline = self.engine.pipeline(name, &self.variant(defines), &constants)?;
+        let pipeline = self.engine.pipeline(name, &self.variant(&defines), &constants)?;
         let mut pass = self.pass(encoder, "traverse", 0);
-        self.dispatch(&mut pass, &pipeline, &[("bits", "spill"), ("keys", "spill")], groups);
+        self.dispatch(&mut pass, &pipeline, &[], groups);
         Ok(())
     }
 
     fn remap(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
-        let variant = self.variant(&[]);
         let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
-        let mut remap = |constants: &[(&str, f64)]| self.engine.pipeline("remap", &variant, constants);
         if plan.kernel == Kernel::Raycast {
             drop(self.pass(encoder, "remap", 1));
             return Ok(());
         }
         if !plan.gathers() {
-            let pipeline = remap(&[voxel, ("RETEST", f64::from(u8::from(plan.retest)))])?;
+            let mut defines = plan.defines();
+            if plan.retest {
+                defines.push("RETEST");
+            }
+            let on = f64::from(u8::from(!plan.specialization.has(Feature::Bounded)));
+            let constants = [voxel, ("PAINT", f64::from(self.tables.paint)), ("REPEATS", on)];
+            let pipeline = self.engine.pipeline("remap", &self.variant(&defines), &constants)?;
             let mut pass = self.pass(encoder, "remap", 1);
             self.dispatch(&mut pass, &pipeline, &[], grid);
             return Ok(());
         }
-        let index = remap(&[voxel, ("INDEX", 1.0)])?;
-        let gather = remap(&[voxel, ("GATHER", 1.0)])?;
-        let fill = self.engine.pipeline("gap_fill", &variant, &[])?;
+        let index = self.engine.pipeline("remap", &self.variant(&["INDEX"]), &[voxel])?;
+        let gather = self.engine.pipeline("remap", &self.variant(&["GATHER"]), &[voxel])?;
+        let fill = self.engine.pipeline("gap_fill", &self.variant(&[]), &[])?;
         let mut pass = self.pass(encoder, "remap", 1);
         self.dispatch(&mut pass, &index, &[], grid);
         if plan.gap_fill {
@@ -777,7 +813,7 @@ impl GpuRenderer<'_> {
         copy("shaded", parts.color, 4 * pixels);
         copy("image_depth", parts.depth, 4 * pixels);
         copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
-        copy("counters", parts.counters, 12 * u64::from(plan.n_counters));
+        copy("scratch", parts.counters, 12 * u64::from(plan.n_counters));
         copy("holes", parts.holes, 4);
         copy("times", parts.times, 8 * u64::from(TIMES));
         let submission = self.engine.queue.submit([encoder.finish()]);

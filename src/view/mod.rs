@@ -33,8 +33,6 @@ pub mod world;
 
 use std::path::PathBuf;
 
-use planecast_encoder::source::ReadOptions;
-
 use crate::Result;
 use crate::device::Device;
 use crate::options::Options;
@@ -44,8 +42,7 @@ use crate::options::Options;
 pub struct Settings {
     /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
     pub input: Option<PathBuf>,
-    pub read: ReadOptions,
-    pub skip_broken: bool,
+    pub how: world::How,
     /// Where to begin; without an eye, where the scene was left, or a good view.
     pub eye: Option<glam::DVec3>,
     pub yaw: Option<f64>,

@@ -7,10 +7,10 @@ use egui::{Align2, Color32, RichText, Ui};
 use super::control::{Control, Mode};
 use super::drawer::Draws;
 use super::world::World;
-use crate::Kernel;
 use crate::frame::{StageTimes, Stats};
 use crate::options::{Options, Planes, Shading};
 use crate::preset::Preset;
+use crate::{Feature, Kernel};
 
 /// Frames that the graph shows.
 const FRAMES: usize = 160;
@@ -186,6 +186,11 @@ impl Panel {
         if !s.specialization.is_empty() {
             ui.label(format!("paid for: {}", s.specialization.join(", ")));
         }
+        if !s.left_out.is_empty() {
+            let names = s.left_out.iter().map(|l| l.split(':').next().unwrap_or_default());
+            ui.label(format!("left out: {}", names.collect::<Vec<_>>().join(", ")))
+                .on_hover_text(s.left_out.join("\n"));
+        }
     }
 
     fn drawing(&mut self, ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
@@ -268,6 +273,16 @@ impl Panel {
                 ];
                 for (on, name) in parts {
                     ui.checkbox(on, name);
+                }
+            });
+            ui.horizontal_wrapped(|ui| {
+                ui.label("may leave out:");
+                for feature in Feature::ALL {
+                    let mut on = o.specialize.has(feature);
+                    // Whether tables are those of heights is settled when a scene is opened.
+                    ui.add_enabled(feature != Feature::Heights, egui::Checkbox::new(&mut on, feature.name()));
+                    let others = o.specialize.iter().filter(|f| *f != feature);
+                    o.specialize = others.chain(on.then_some(feature)).collect();
                 }
             });
             let on_cpu = !matches!(subject.draws, Draws::Gpu(_));

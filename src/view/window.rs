@@ -139,7 +139,7 @@ impl App {
                 screenshot_size: settings.screenshot_size,
                 ..Panel::default()
             },
-            opening: input.map(|path| Opening::begin(&path, &settings.read, settings.skip_broken)),
+            opening: input.map(|path| Opening::begin(&path, &settings.how)),
             settings,
             outcome: Ok(()),
             screen: None,
@@ -643,7 +643,7 @@ impl App {
     }
 
     fn dropped(&mut self, path: &Path) {
-        self.opening = Some(Opening::begin(path, &self.settings.read, self.settings.skip_broken));
+        self.opening = Some(Opening::begin(path, &self.settings.how));
         self.linger = LINGER;
     }
 
