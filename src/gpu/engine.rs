@@ -146,6 +146,11 @@ impl Engine {
 
     /// Runs `make`, which asks for device memory; an error where the device has not got it.
     pub fn checked<T>(&self, what: &str, make: impl FnOnce() -> T) -> Result<T> {
+        // A page cannot wait for the answer: what fails there is heard by `Failure`.
+        if cfg!(target_arch = "wasm32") {
+            self.check()?;
+            return Ok(make());
+        }
         let invalid = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let made = make();

@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 use std::sync::mpsc::TryRecvError;
-use std::time::Instant;
 
 use planecast_encoder::Scene;
 
@@ -10,6 +9,7 @@ use super::engine::Engine;
 pub use super::engine::{Device, Failure};
 use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts};
 use crate::camera::Camera;
+use crate::clock::Instant;
 use crate::error::{Error, Result};
 use crate::frame::Stats;
 use crate::options::Options;
@@ -17,6 +17,17 @@ use crate::renderer::Outputs;
 use crate::resident::Resident;
 
 impl Device {
+    /// A device that was asked for with [`Device::wishes`].
+    pub fn new(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue) -> Device {
+        let failure = Failure::watch(&device);
+        Device { info, device, queue, failure }
+    }
+
+    /// What to ask an adapter for, so that scenes and pictures fit as with [`GpuRenderer::new`].
+    pub fn wishes(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'static> {
+        Engine::wishes(adapter)
+    }
+
     /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`), else the most powerful that can draw on the
     /// surface.
     pub fn open(instance: &wgpu::Instance, surface: &wgpu::Surface<'_>) -> Result<(wgpu::Adapter, Device)> {
@@ -27,8 +38,7 @@ impl Device {
         }
         let (device, queue) = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)))
             .map_err(|e| Error::Device(format!("{}: cannot open the device ({e})", info.name)))?;
-        let failure = Failure::watch(&device);
-        Ok((adapter, Device { info, device, queue, failure }))
+        Ok((adapter, Device::new(info, device, queue)))
     }
 
     /// An error if the device reported one since it was opened.

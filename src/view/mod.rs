@@ -20,6 +20,7 @@ mod canvas;
 pub mod control;
 #[cfg(feature = "gpu")]
 pub mod drawer;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod last;
 pub mod map;
 pub mod pace;
@@ -31,12 +32,17 @@ pub mod script;
 mod window;
 pub mod world;
 
+#[cfg(not(target_arch = "wasm32"))]
 use std::path::PathBuf;
 
+#[cfg(not(target_arch = "wasm32"))]
 use crate::Result;
+#[cfg(not(target_arch = "wasm32"))]
 use crate::device::Device;
+#[cfg(not(target_arch = "wasm32"))]
 use crate::options::Options;
 
+#[cfg(not(target_arch = "wasm32"))]
 /// What `planecast view` is told.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -62,6 +68,7 @@ pub struct Settings {
     pub script: Option<PathBuf>,
 }
 
+#[cfg(not(target_arch = "wasm32"))]
 /// Opens a window on a scene and stays until it is closed.
 pub fn view(settings: Settings) -> Result<()> {
     #[cfg(feature = "view")]

@@ -1,20 +1,21 @@
 //! A scene as it is flown through, from a scene file or from whatever `encode` reads.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use planecast_encoder::info::{self, ByteCounts};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{PcastFile, Scene};
 
+use crate::Result;
 use crate::resident::Resident;
 use crate::specialize::Features;
-use crate::{Error, Result};
 
 #[cfg(not(target_arch = "wasm32"))]
 use {
+    crate::Error,
     planecast_encoder::encode::{self, EncodeOptions, Watch},
     std::io::Read,
+    std::sync::Arc,
 };
 
 /// A scene, ready to be drawn and walked on.
