@@ -1,6 +1,7 @@
 //! One frame from camera to picture, stage by stage.
 
 use crate::camera::Camera;
+use crate::clock::Instant;
 use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
 use crate::cpu::{gap_fill, remap, shade, traverse};
 use crate::error::{Error, Result};
@@ -10,7 +11,6 @@ use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
 use crate::specialize::{Specialization, Twin};
 use planecast_encoder::{ColorMode, Scene};
-use std::time::Instant;
 
 /// Pixels a frame may have.
 pub const PIXEL_LIMIT: u64 = 1 << 28;

@@ -17,7 +17,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::format::{self, Grid, TileEntry};
 use crate::read::{Modes, Place, decode_tile};
-use crate::source::{read_at, write_at};
+use crate::scratch::{read_at, write_at};
 use crate::{ColorMode, Encoding, Error, Features, Level, MipRule, Result};
 
 pub const MAGIC: [u8; 8] = *b"\x89PCT\r\n\x1a\n";

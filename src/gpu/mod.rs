@@ -12,6 +12,7 @@ pub mod shaders;
 pub mod types;
 
 use crate::camera::Camera;
+use crate::clock::Instant;
 use crate::cpu::shade;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
@@ -27,7 +28,6 @@ use resident::GpuResident;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
 use std::sync::mpsc;
-use std::time::Instant;
 use types::{FrameParams, Upload};
 
 /// How `traverse` is spread over the device. All draw the same picture but for float rounding.

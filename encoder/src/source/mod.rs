@@ -26,8 +26,6 @@ mod volume;
 mod vox;
 mod vxl;
 
-pub(crate) use volume::{read_at, write_at};
-
 use std::fs::{self, File};
 use std::io::Read;
 use std::ops::Deref;

@@ -3,7 +3,6 @@
 //! Points go to a file without a name as they are read, in lists by rows of tiles, so that the cloud need not fit into
 //! memory.
 
-use std::fs::File;
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
@@ -12,9 +11,10 @@ use bytemuck::{Pod, Zeroable};
 
 use super::mesh::{self, Mesh};
 use super::spots::{self, Spot};
-use super::{ReadOptions, Up, read_at, world_dims};
+use super::{ReadOptions, Up, world_dims};
 use crate::format::TILE;
 use crate::pieces::Pieces;
+use crate::scratch::{self as file, File, read_at};
 use crate::{Error, Input, Result};
 
 /// Points of a list that are written together.
@@ -62,7 +62,7 @@ impl Points {
     ) -> Result<Points> {
         let sides = [0, 1, 2].map(|a| (((high[a] - low[a]) * scale) as u64).saturating_add(1));
         let dims = world_dims(path, sides, "give a larger --voxel")?;
-        let mut file = tempfile::tempfile().map_err(scratch("create a file in"))?;
+        let mut file = file::file().map_err(scratch("create a file in"))?;
         let n_lists = dims[2].div_ceil(TILE) as usize;
         let mut lists = vec![Vec::new(); n_lists];
         let mut waiting: Vec<Vec<Record>> = vec![Vec::new(); n_lists];
@@ -165,7 +165,7 @@ impl Points {
 fn check_extended(path: &Path) -> Result<()> {
     use std::io::{Read, Seek, SeekFrom};
     let failed = |e| Error::io(path, "read", e);
-    let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let file_len = file.metadata().map_err(failed)?.len();
     let mut head = Vec::new();
     Read::by_ref(&mut file).take(247).read_to_end(&mut head).map_err(failed)?;
