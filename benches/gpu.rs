@@ -9,7 +9,7 @@
 
 use criterion::{BenchmarkId, Criterion};
 use planecast::gpu::bench::{Entry, film, flythrough, poses, stroll};
-use planecast::{Camera, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes};
+use planecast::{Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes};
 use planecast_encoder::source;
 use planecast_encoder::{BuildOptions, Scene, build};
 use std::path::Path;
@@ -49,14 +49,18 @@ fn options(name: &str) -> Options {
 const KERNELS: &str = "workgroup workgroup:32 workgroup:64 workgroup:128 workgroup:192 workgroup:256 workgroup:checked raycast \
                        invocation invocation:1";
 
-/// `KERNEL[:LANES|:checked]`.
+/// `KERNEL[:LANES|:checked|:FEATURES]`, features as `--specialize` takes them.
 fn entry(text: &str) -> Entry {
     let (kernel, rest) = text.split_once(':').unwrap_or((text, ""));
     let kernel = kernel.parse().expect("a kernel's name");
+    let usual = Entry { kernel, lanes: None, trusted: true, specialize: Features::ALL };
     match rest {
-        "" => Entry { kernel, lanes: None, trusted: true },
-        "checked" => Entry { kernel, lanes: None, trusted: false },
-        lanes => Entry { kernel, lanes: Some(lanes.parse().expect("a number of lanes")), trusted: true },
+        "" => usual,
+        "checked" => Entry { trusted: false, ..usual },
+        lanes if lanes.starts_with(char::is_numeric) => {
+            Entry { lanes: Some(lanes.parse().expect("a number of lanes")), ..usual }
+        }
+        features => Entry { specialize: features.parse().expect("features"), ..usual },
     }
 }
 

@@ -11,7 +11,7 @@ override ROWS: u32 = 8u;
 @group(0) @binding(3) var<storage, read_write> image_color: array<u32>;
 @group(0) @binding(4) var<storage, read_write> image_depth: array<u32>;
 @group(0) @binding(5) var<storage, read_write> image_voxel: array<vec4<i32>>;
-@group(0) @binding(6) var<storage, read_write> counters: array<u32>;
+@group(0) @binding(6) var<storage, read_write> scratch: array<u32>;
 
 var<workgroup> counts: array<atomic<u32>, 3>;
 var<private> n_columns: u32;
@@ -52,7 +52,7 @@ fn locate_ray(axis: u32, q: f32, l: u32, step: i32, ahead: i32) -> i32 {
 fn column(l: u32, cell: vec2<i32>, q0: f32, q1: f32) {
     n_columns += 1u;
     let ix = column_index(l, wrap(cell.x, levels[l].size.x), wrap(cell.y, levels[l].size.y));
-    let entry = columns(levels[l].columns + ix);
+    let entry = column_entry(l, ix);
     if (entry.x == EMPTY) {
         return;
     }
@@ -139,7 +139,7 @@ fn walk(p: u32) {
     var q_end = min(frame.view_distance / max(horizontal, TINY), 1e17);
     for (var axis = 0u; axis < 2u; axis++) {
         let repeats = select(frame.repeat_x, frame.repeat_z, axis == 1u);
-        if (repeats == 1u) {
+        if (REPEATS && repeats == 1u) {
             continue;
         }
         let n = levels[0].size[axis];
@@ -165,20 +165,20 @@ fn walk(p: u32) {
     // Levels begin where those of the pixel's plane do.
     let lod_q = planes[p].lod_t / max(horizontal, TINY);
     var l = planes[p].lod_first;
-    while (l + 1u < frame.levels && q0 >= lod_q * f32(1u << (l + 1u))) {
+    while (l + 1u < level_count() && q0 >= lod_q * f32(1u << (l + 1u))) {
         l += 1u;
     }
     var cell = vec2(locate_ray(0u, q0, l, step.x, ahead.x), locate_ray(1u, q0, l, step.y, ahead.y));
-    if (frame.repeat_x == 0u) {
+    if (!REPEATS || frame.repeat_x == 0u) {
         cell.x = clamp(cell.x, 0, levels[l].size.x - 1);
     }
-    if (frame.repeat_z == 0u) {
+    if (!REPEATS || frame.repeat_z == 0u) {
         cell.y = clamp(cell.y, 0, levels[l].size.y - 1);
     }
     loop {
         let size = levels[l].size;
         var next_level = STEEP;
-        if (l + 1u < frame.levels) {
+        if (l + 1u < level_count()) {
             next_level = lod_q * f32(1u << (l + 1u));
         }
         let limit = min(q_end, next_level);
@@ -194,8 +194,7 @@ fn walk(p: u32) {
             let q_exit = min(exit.x, exit.y);
             let q1 = min(q_exit, limit);
             if (COARSE) {
-                let block = blocks(levels[l].blocks
-                    + u32(wrapped.y >> BLOCK_SHIFT) * levels[l].blocks_row + u32(wrapped.x >> BLOCK_SHIFT));
+                let block = block_of(l, wrapped);
                 let ends = vec2(ray.y * q0, ray.y * q1);
                 if (block == EMPTY || height(run_end(block) << l) <= min(ends.x, ends.y)
                     || height(run_first(block) << l) > max(ends.x, ends.y)) {
@@ -241,7 +240,7 @@ fn walk(p: u32) {
                 }
             }
         }
-        if (q0 >= q_end || l + 1u >= frame.levels) {
+        if (q0 >= q_end || l + 1u >= level_count()) {
             return;
         }
         l += 1u;
@@ -280,6 +279,6 @@ fn main(
     workgroupBarrier();
     if (COUNT && lane < 3u) {
         let n = (frame.width + WIDTH - 1u) / WIDTH;
-        counters[3u * (group.y * n + group.x) + lane] = atomicLoad(&counts[lane]);
+        scratch[3u * (group.y * n + group.x) + lane] = atomicLoad(&counts[lane]);
     }
 }

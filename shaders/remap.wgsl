@@ -1,4 +1,5 @@
-// Stage remap: each pixel takes the sample of the nearest plane, or the one whose voxel its own ray meets.
+// Stage remap: each pixel takes the sample of the nearest plane, or (RETEST) the one whose voxel its own ray meets; or it
+// writes (INDEX) which sample it takes, for gap_fill, and nothing else, and then (GATHER) takes what gap_fill settled on.
 // Twin: src/cpu/remap.rs. Grid: pixels.
 //!include shared/frame.wgsl
 //!include shared/plane.wgsl
@@ -10,15 +11,14 @@
 @group(0) @binding(6) var<storage, read_write> image_color: array<u32>;
 @group(0) @binding(7) var<storage, read_write> image_depth: array<u32>;
 @group(0) @binding(10) var<storage, read_write> image_voxel: array<vec4<i32>>;
+//!if INDEX
 @group(0) @binding(11) var<storage, read_write> index: array<u32>;
 // Pixels without a plane.
 @group(0) @binding(12) var<storage, read_write> holes: atomic<u32>;
-
-override RETEST: bool = false;
-// Writes which sample each pixel takes, for gap_fill, and nothing else.
-override INDEX: bool = false;
-// Takes the samples that gap_fill settled on.
-override GATHER: bool = false;
+//!endif
+//!if GATHER
+@group(0) @binding(11) var<storage, read_write> index: array<u32>;
+//!endif
 
 const MISS: f32 = -1.0;
 
@@ -56,32 +56,29 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let i = id.y * frame.width + id.x;
-    if (GATHER) {
-        let sample = index[i];
-        if (sample == HOLE) {
-            image_color[i] = 0u;
-            image_depth[i] = INFINITY;
-            if (VOXEL) {
-                image_voxel[i] = vec4(-1);
-            }
-            return;
+//!if GATHER
+    let sample = index[i];
+    if (sample == HOLE) {
+        image_color[i] = 0u;
+        image_depth[i] = INFINITY;
+        if (VOXEL) {
+            image_voxel[i] = vec4(-1);
         }
-        put(i, sample, plane_depth[sample]);
         return;
     }
+    put(i, sample, plane_depth[sample]);
+//!else
     let place = place_of(id.x, id.y);
     let own = buffer_index(place.fan, place.plane, place.sample);
-    if (INDEX) {
-        index[i] = select(HOLE, own, place.covered);
-        if (!place.covered) {
-            atomicAdd(&holes, 1u);
-        }
-        return;
+//!if INDEX
+    index[i] = select(HOLE, own, place.covered);
+    if (!place.covered) {
+        atomicAdd(&holes, 1u);
     }
-    if (!RETEST) {
-        put(i, own, plane_depth[own]);
-        return;
-    }
+//!else
+//!if !RETEST
+    put(i, own, plane_depth[own]);
+//!else
     let inverse = ray_inverse(pixel_ray(id.x, id.y));
     let own_voxel = plane_voxel[own];
     var near_own = MISS;
@@ -138,4 +135,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let chosen = select(sky, own, sky == NONE);
         put(i, chosen, plane_depth[chosen]);
     }
+//!endif
+//!endif
+//!endif
 }

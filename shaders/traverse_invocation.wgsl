@@ -9,9 +9,9 @@ override WIDTH: u32 = 32u;
 // 32-bit words of visibility a plane.
 override WORDS: u32 = 32u;
 
-//!if STORAGE_BITS
-@group(0) @binding(7) var<storage, read_write> bits: array<u32>;
-//!else
+// Counters of all planes, then visibility bits that do not fit in workgroup memory.
+@group(0) @binding(6) var<storage, read_write> scratch: array<u32>;
+//!if !STORAGE_BITS
 // Word w of lane k at w·WIDTH + k, so that lanes meet no bank twice.
 var<workgroup> bits: array<u32, WORDS * WIDTH>;
 //!endif
@@ -31,7 +31,19 @@ var<private> n_runs: u32;
 var<private> n_spans: u32;
 
 fn open_word(w: u32) -> u32 {
+//!if STORAGE_BITS
+    return scratch[bits_at + w * bits_stride];
+//!else
     return bits[bits_at + w * bits_stride];
+//!endif
+}
+
+fn set_open_word(w: u32, open: u32) {
+//!if STORAGE_BITS
+    scratch[bits_at + w * bits_stride] = open;
+//!else
+    bits[bits_at + w * bits_stride] = open;
+//!endif
 }
 
 fn is_open(j: i32) -> bool {
@@ -55,7 +67,7 @@ fn low_bits(n: i32) -> u32 {
 
 fn begin() {
     for (var w = 0; w < i32(WORDS); w++) {
-        bits[bits_at + u32(w) * bits_stride] = low_bits(plane.end - 32 * w) & ~low_bits(plane.first - 32 * w);
+        set_open_word(u32(w), low_bits(plane.end - 32 * w) & ~low_bits(plane.first - 32 * w));
     }
     for (var j = plane.first; j < plane.end; j++) {
         write_sky(j);
@@ -73,12 +85,12 @@ fn walk() {
     var l = plane.lod_first;
     var cell = plane.cell >> vec2(l);
     loop {
-        if (l >= frame.levels) {
+        if (l >= level_count()) {
             return;
         }
         let size = levels[l].size;
         var next_level = STEEP;
-        if (l + 1u < frame.levels) {
+        if (l + 1u < level_count()) {
             next_level = plane.lod_t * f32(1u << (l + 1u));
         }
         loop {
@@ -109,8 +121,7 @@ fn walk() {
                 continue;
             }
             // Rounding can put the world's far edge a little before `t_end`.
-            let within = (cell >= vec2(0)) & (cell < size);
-            if (!((within.x || frame.repeat_x == 1u) && (within.y || frame.repeat_z == 1u))) {
+            if (!in_world(l, cell)) {
                 return;
             }
             // The block of columns that `cell` lies in, cut off where the world repeats.
@@ -121,8 +132,7 @@ fn walk() {
             let exit = vec2(cross_x((stop.x + 1 - ahead.x) << l), cross_z((stop.y + 1 - ahead.y) << l));
             let t_exit = min(exit.x, exit.y);
             if (COARSE) {
-                let block = blocks(levels[l].blocks
-                    + u32(wrapped.y >> BLOCK_SHIFT) * levels[l].blocks_row + u32(wrapped.x >> BLOCK_SHIFT));
+                let block = block_of(l, wrapped);
                 let v = visible(s, t0, min(t_exit, limit));
                 if (block == EMPTY || height(run_end(block) << l) <= v.x || height(run_first(block) << l) >= v.y) {
                     let t1 = min(t_exit, limit);
@@ -184,13 +194,12 @@ fn middle_cell(axis: u32, t: f32, l: u32) -> i32 {
 fn column(l: u32, cell: vec2<i32>, t0: f32, t1: f32) {
     let size = levels[l].size;
     // A slice's middle can lie beside a world that the slice still touches.
-    let inside = (cell >= vec2(0)) & (cell < size);
-    if (!((inside.x || frame.repeat_x == 1u) && (inside.y || frame.repeat_z == 1u))) {
+    if (!in_world(l, cell)) {
         return;
     }
     n_columns += 1u;
     let ix = column_index(l, wrap(cell.x, size.x), wrap(cell.y, size.y));
-    let entry = columns(levels[l].columns + ix);
+    let entry = column_entry(l, ix);
     var v = visible(s, t0, t1);
     var run = entry.x;
     if (run == EMPTY || height(run_end(run) << l) <= v.x) {
@@ -290,8 +299,9 @@ fn draw(l: u32, cell: vec2<i32>, ix: u32, k: u32, run: u32, h0: f32, h1: f32, t0
     if (BITS && FORWARD) {
         for (var w = j0 >> 5u; w <= (j1 - 1) >> 5u; w++) {
             let mask = low_bits(j1 - 32 * w) & ~low_bits(j0 - 32 * w);
-            var open = open_word(u32(w)) & mask;
-            bits[bits_at + u32(w) * bits_stride] &= ~mask;
+            let word = open_word(u32(w));
+            var open = word & mask;
+            set_open_word(u32(w), word & ~mask);
             left -= i32(countOneBits(open));
             while (open != 0u) {
                 write_sample(32 * w + i32(countTrailingZeros(open)), l, cell, ix, k, run, h0, h1, t0);
@@ -301,7 +311,7 @@ fn draw(l: u32, cell: vec2<i32>, ix: u32, k: u32, run: u32, h0: f32, h1: f32, t0
     } else {
         for (var j = j0; j < j1; j++) {
             if (is_open(j)) {
-                bits[bits_at + (u32(j) >> 5u) * bits_stride] &= ~(1u << (u32(j) & 31u));
+                set_open_word(u32(j) >> 5u, open_word(u32(j) >> 5u) & ~(1u << (u32(j) & 31u)));
                 left -= 1;
                 write_sample(j, l, cell, ix, k, run, h0, h1, t0);
             }
@@ -379,7 +389,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
     }
     sight_begin(id.x);
 //!if STORAGE_BITS
-    bits_at = id.x * WORDS;
+    bits_at = 3u * frame.n_planes + id.x * WORDS;
     bits_stride = 1u;
 //!else
     bits_at = lane;
@@ -387,7 +397,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
 //!endif
     begin();
     walk();
-    counters[3u * id.x] = n_columns;
-    counters[3u * id.x + 1u] = n_runs;
-    counters[3u * id.x + 2u] = n_spans;
+    scratch[3u * id.x] = n_columns;
+    scratch[3u * id.x + 1u] = n_runs;
+    scratch[3u * id.x + 2u] = n_spans;
 }

@@ -15,6 +15,11 @@
 // over batches too: a later span has a greater key than whatever closed the window before it. Rows take
 // workgroup memory and are all read at the end, so they are few: one for each power of two was measured to take longer.
 //
+// GROUND, for heights seen from above the ground (`Feature::Horizon`): a column shows from where what is nearer ends up to
+// its own top, the places where there is none showing the sky above the ground's underside. So a column notes its key
+// once, at the last sample that it reaches, and a sample shows the least key noted from there on. Nothing ever closes the
+// window from above, and keys say the slice and column alone.
+//
 // Ahead of the batches, groups of GROUP slices are tested against the height bounds of the blocks they meet, a lane a
 // group, once more before each batch with the window as it is then; only those that can show are walked.
 //!include shared/frame.wgsl
@@ -29,19 +34,29 @@ override FINE: u32 = 1024u;
 // Samples of a block.
 const BLOCK: i32 = 16;
 // Keys of all rows.
+//!if GROUND
+override KEYS: u32 = FINE;
+//!else
 override KEYS: u32 = FINE + FINE / 4u + 3u * (FINE / 16u);
+//!endif
 
 const OPEN: u32 = 0xffffffffu;
+// Slices that keys can tell apart before what they say must be written out.
+//!if GROUND
+const EPOCH: i32 = 0x3fffffff;
+//!else
 const RUN_BITS: u32 = 12u;
 const RUN_MANY: u32 = 4095u;
-// Slices that keys can tell apart before what they say must be written out.
 const EPOCH: i32 = 520000;
+//!endif
 const GROUP: i32 = BLOCK_SIZE;
+
+// Counters of all planes, then keys that do not fit in workgroup memory.
+@group(0) @binding(6) var<storage, read_write> scratch: array<atomic<u32>>;
 
 // Rows: a key a sample; then a key a block of what fills it, of what fills all below it, of what fills all above it; then
 // one for every four samples.
 //!if STORAGE_KEYS
-@group(0) @binding(7) var<storage, read_write> keys: array<atomic<u32>>;
 var<private> keys_at: u32;
 //!else
 var<workgroup> keys: array<atomic<u32>, KEYS>;
@@ -68,8 +83,10 @@ struct Turn {
     open_hi: atomic<i32>,
 }
 var<workgroup> turns: array<Turn, 3>;
+//!if !GROUND
 // Whether any span floats.
 var<workgroup> floats: atomic<u32>;
+//!endif
 var<workgroup> counts: array<atomic<u32>, 3>;
 
 // The plane's ray along its longer axis (major) and the other: the eye's cell and place in it, direction and inverse.
@@ -100,6 +117,30 @@ var<private> n_columns: u32;
 var<private> n_runs: u32;
 var<private> n_spans: u32;
 
+fn key_at(i: u32) -> u32 {
+//!if STORAGE_KEYS
+    return atomicLoad(&scratch[i]);
+//!else
+    return atomicLoad(&keys[i]);
+//!endif
+}
+
+fn lower_key(i: u32, key: u32) {
+//!if STORAGE_KEYS
+    atomicMin(&scratch[i], key);
+//!else
+    atomicMin(&keys[i], key);
+//!endif
+}
+
+fn set_key(i: u32, key: u32) {
+//!if STORAGE_KEYS
+    atomicStore(&scratch[i], key);
+//!else
+    atomicStore(&keys[i], key);
+//!endif
+}
+
 // All lanes have come here, and see each other's keys.
 fn sync() {
     workgroupBarrier();
@@ -112,6 +153,7 @@ fn sample(j: i32) -> u32 {
     return keys_at + u32(j);
 }
 
+//!if !GROUND
 fn filled(j: i32) -> u32 {
     return keys_at + FINE + u32(j) / u32(BLOCK);
 }
@@ -129,12 +171,14 @@ fn four(j: i32) -> u32 {
 }
 
 fn key_of(j: i32) -> u32 {
-    return min(atomicLoad(&keys[sample(j)]), min(atomicLoad(&keys[four(j)]), atomicLoad(&keys[filled(j)])));
+    return min(key_at(sample(j)), min(key_at(four(j)), key_at(filled(j))));
 }
 
 fn is_open(j: i32) -> bool {
     return key_of(j) == OPEN;
 }
+
+//!endif
 
 fn cross_major(line: i32) -> f32 {
     return (f32(line - cell_major) - fract_major) * inverse_major;
@@ -208,11 +252,6 @@ fn column_at(l: u32, cell: vec2<i32>) -> u32 {
     return column_index(l, wrap(cell.x, levels[l].size.x), wrap(cell.y, levels[l].size.y));
 }
 
-fn inside(l: u32, cell: vec2<i32>) -> bool {
-    let within = (cell >= vec2(0)) & (cell < levels[l].size);
-    return (within.x || frame.repeat_x == 1u) && (within.y || frame.repeat_z == 1u);
-}
-
 // Slopes just within the window: what meets no sample's centre need not be drawn.
 fn window_slopes() -> vec2<f32> {
     return vec2(slope_at(f32(lo) + 0.45), slope_at(f32(hi) - 0.45));
@@ -243,25 +282,27 @@ fn begin(lane: u32) {
     step_minor = select(1, -1, dir_minor < 0.0);
     ahead_major = select(0, 1, step_major > 0);
     ahead_minor = select(0, 1, step_minor > 0);
-    repeats_major = select(frame.repeat_z, frame.repeat_x, along_x) == 1u;
-    repeats_minor = select(frame.repeat_x, frame.repeat_z, along_x) == 1u;
+    repeats_major = REPEATS && select(frame.repeat_z, frame.repeat_x, along_x) == 1u;
+    repeats_minor = REPEATS && select(frame.repeat_x, frame.repeat_z, along_x) == 1u;
     for (var i = lane; i < KEYS; i += WIDTH) {
-        atomicStore(&keys[keys_at + i], OPEN);
+        set_key(keys_at + i, OPEN);
     }
     if (lane < 3u) {
         reset_turn(lane);
         atomicStore(&counts[lane], 0u);
     }
+//!if !GROUND
     if (lane == 0u) {
         atomicStore(&floats, 0u);
     }
-    for (var l = lane; l < frame.levels; l += WIDTH) {
+//!endif
+    for (var l = lane; l < level_count(); l += WIDTH) {
         var start = plane.t_start;
         if (l > plane.lod_first) {
             start = max(start, plane.lod_t * f32(1u << l));
         }
         var to = plane.t_end;
-        if (l + 1u < frame.levels) {
+        if (l + 1u < level_count()) {
             to = min(to, plane.lod_t * f32(1u << (l + 1u)));
         }
         start = min(start, plane.t_end);
@@ -288,24 +329,31 @@ fn begin(lane: u32) {
     if (lane == 0u) {
         var slices = 0;
         var groups = 0;
-        for (var l = 0u; l < frame.levels; l++) {
+        for (var l = 0u; l < level_count(); l++) {
             let n = vec2(level_slice[l], level_group[l]);
             level_slice[l] = slices;
             level_group[l] = groups;
             slices += n.x;
             groups += n.y;
         }
-        level_slice[frame.levels] = slices;
-        level_group[frame.levels] = groups;
-        level_t[frame.levels] = plane.t_end;
+        level_slice[level_count()] = slices;
+        level_group[level_count()] = groups;
+        level_t[level_count()] = plane.t_end;
     }
     sync();
     lo = plane.first;
     hi = plane.end;
+//!if GROUND
+    // Below, sight lines pass under the world.
+    lo = sample_at(plane.t_start, height(0));
+//!endif
     s = window_slopes();
 }
 
 fn level_of_group(g: i32) -> u32 {
+    if (ONE_LEVEL) {
+        return 0u;
+    }
     var l = plane.lod_first;
     while (g >= level_group[l + 1u]) {
         l += 1u;
@@ -355,11 +403,16 @@ fn group_of(l: u32, n: i32) -> Group {
         while (b <= last) {
             let wb = wrap(b, size_minor);
             let w = cell_of(wa, wb);
-            let block = blocks(levels[l].blocks + u32(w.y >> BLOCK_SHIFT) * levels[l].blocks_row + u32(w.x >> BLOCK_SHIFT));
+            let block = block_of(l, w);
+//!if GROUND
+            // Where there is none, the ground's underside hides what lies behind it.
+            out.top = max(out.top, height(select(run_end(block), 0, block == EMPTY) << l));
+//!else
             if (block != EMPTY) {
                 out.bottom = min(out.bottom, height(run_first(block) << l));
                 out.top = max(out.top, height(run_end(block) << l));
             }
+//!endif
             b += min((wb | (BLOCK_SIZE - 1)) + 1, size_minor) - wb;
         }
         a += min((wa | (BLOCK_SIZE - 1)) + 1, size_major) - wa;
@@ -372,7 +425,11 @@ fn can_show(group: Group) -> bool {
         return true;
     }
     let v = visible(s, group.t0, group.t1);
+//!if GROUND
+    return group.top > v.x;
+//!else
     return group.top > v.x && group.bottom < v.y;
+//!endif
 }
 
 // Place of set bit number n.
@@ -391,6 +448,41 @@ fn nth_bit(bits: u32, n: u32) -> u32 {
     return at;
 }
 
+// A column that the plane meets, and where.
+struct Met {
+    l: u32,
+    cell: vec2<i32>,
+    t0: f32,
+    t1: f32,
+}
+
+// Column number `order & 1` of slice number `order / 2`, counted from the epoch's first.
+fn met_of(order: u32, epoch: i32) -> Met {
+    let n = i32(order >> 1u) + epoch;
+    var l = plane.lod_first;
+    if (ONE_LEVEL) {
+        l = 0u;
+    }
+    while (!ONE_LEVEL && n >= level_slice[l + 1u]) {
+        l += 1u;
+    }
+    let along = level_cell[l] + (n - level_slice[l]) * step_major;
+    let c = slice_of(l, along);
+    let second = (order & 1u) == 1u;
+    return Met(
+        l, cell_of(along, select(c.first, c.second, second)), select(c.t0, c.tm, second), select(c.tm, c.t1, second));
+}
+
+fn heights(y: vec2<u32>, l: u32) -> vec2<f32> {
+    return vec2<f32>(vec2<i32>(y << vec2(l)) - frame.eye_cell.y) - frame.eye_fract.y;
+}
+
+// The first samples whose centres are at or above points (t, h) within the window.
+fn samples_at(t: vec2<f32>, h: vec2<f32>) -> vec2<i32> {
+    let u = (plane.a * t + plane.b * h) / vec2(sight_scale(t.x, h.x), sight_scale(t.y, h.y));
+    return clamp(vec2<i32>(ceil(u - 0.5)), vec2(lo), vec2(hi));
+}
+
 // Draws what a slice's columns show into the keys.
 fn draw_slice(l: u32, cell: i32, epoch: i32) {
     let along = (cell - level_cell[l]) * step_major;
@@ -399,6 +491,103 @@ fn draw_slice(l: u32, cell: i32, epoch: i32) {
     if (along < 0 || along >= level_slice[l + 1u] - level_slice[l] || c.t1 <= c.t0) {
         return;
     }
+//!if GROUND
+    let order = u32(level_slice[l] + along - epoch) * 2u;
+    let cell0 = cell_of(cell, c.first);
+    let cell1 = cell_of(cell, c.second);
+    // Both loads in flight together.
+    let n = vec2(voxels_at(l, cell0, true), voxels_at(l, cell1, c.two));
+    n_columns += 1u + u32(c.two);
+    n_runs += u32(n.x > 0u) + u32(n.y > 0u);
+    let h = heights(n, l);
+    let t = select(vec2(c.t0, c.tm), vec2(c.tm, c.t1), h <= vec2(0.0));
+    // Beyond the window the division may be by nothing.
+    let j = select(samples_at(t, h), vec2(hi), h >= s.y * t);
+    let shown = vec2(true, c.two) & (h > s.x * t) & (j > vec2(lo, max(lo, reach_lo)));
+    if (shown.x) {
+        lower_key(sample(j.x - 1), order);
+        reach_lo = max(reach_lo, j.x);
+        n_spans += 1u;
+    }
+    if (shown.y && j.y > reach_lo) {
+        lower_key(sample(j.y - 1), order + 1u);
+        reach_lo = j.y;
+        n_spans += 1u;
+    }
+}
+
+// Voxels of a column; none beside the world.
+fn voxels_at(l: u32, cell: vec2<i32>, wanted: bool) -> u32 {
+    if (!wanted || !in_world(l, cell)) {
+        return 0u;
+    }
+    return voxels(l, column_at(l, cell));
+}
+
+// Shrinks the window to what is above all that was drawn; call with all lanes, after a barrier.
+fn shrink(lane: u32, turn: u32) {
+    lo = max(lo, atomicLoad(&turns[turn].lo));
+    s = window_slopes();
+}
+
+// Hands keys down to all samples below them that have no lesser one. Call with all lanes.
+fn settle(lane: u32) {
+    sync();
+    // A lane has a stretch of samples; 16 lanes have a stretch of stretches.
+    let each = (i32(FINE) + i32(WIDTH) - 1) / i32(WIDTH);
+    let first = min(i32(lane) * each, i32(FINE));
+    let end = min(first + each, i32(FINE));
+    var least = OPEN;
+    for (var j = first; j < end; j++) {
+        least = min(least, key_at(sample(j)));
+    }
+    listed[lane] = least;
+    sync();
+    if (lane < WIDTH / 16u) {
+        least = OPEN;
+        for (var k = 0u; k < 16u; k++) {
+            least = min(least, listed[16u * lane + k]);
+        }
+        listed[WIDTH + lane] = least;
+    }
+    sync();
+    least = OPEN;
+    for (var k = lane + 1u; (k & 15u) != 0u; k++) {
+        least = min(least, listed[k]);
+    }
+    for (var k = lane / 16u + 1u; k < WIDTH / 16u; k++) {
+        least = min(least, listed[WIDTH + k]);
+    }
+    for (var j = end - 1; j >= first; j--) {
+        least = min(least, key_at(sample(j)));
+        set_key(sample(j), least);
+    }
+    sync();
+}
+
+// Works out what the keys say; keys last for the whole walk.
+fn resolve(lane: u32, epoch: i32, over: bool) {
+    settle(lane);
+    let ground = sample_at(plane.t_start, height(0));
+    for (var j = plane.first + i32(lane); j < plane.end; j += i32(WIDTH)) {
+        let key = key_at(sample(j));
+        if (key == OPEN || j < ground) {
+            write_sky(j);
+            continue;
+        }
+        let met = met_of(key, epoch);
+        let n = voxels_at(met.l, met.cell, true);
+        if (n == 0u) {
+            write_sky(j);
+        } else {
+            let ix = column_at(met.l, met.cell);
+            let top = height(i32(n) << met.l);
+            write_sample(j, met.l, met.cell, ix, 0u, run_of_height(n), height(0), top, met.t0);
+        }
+    }
+}
+
+//!else
     let order = u32(level_slice[l] + along - epoch) * 2u + 1u;
     let key = vec2(order, order + 1u) << vec2(RUN_BITS);
     let cell0 = cell_of(cell, c.first);
@@ -406,12 +595,12 @@ fn draw_slice(l: u32, cell: i32, epoch: i32) {
     var entry0 = vec2(EMPTY, 0u);
     var entry1 = entry0;
     // Both loads in flight together.
-    if (inside(l, cell0)) {
-        entry0 = columns(levels[l].columns + column_at(l, cell0));
+    if (in_world(l, cell0)) {
+        entry0 = column_entry(l, column_at(l, cell0));
         n_columns += 1u;
     }
-    if (c.two && inside(l, cell1)) {
-        entry1 = columns(levels[l].columns + column_at(l, cell1));
+    if (c.two && in_world(l, cell1)) {
+        entry1 = column_entry(l, column_at(l, cell1));
         n_columns += 1u;
     }
     // How many runs lie below the top ones, and the first of them, all in flight together as well.
@@ -463,9 +652,13 @@ fn draw_slice(l: u32, cell: i32, epoch: i32) {
 
 // Number of a column's runs below the top one, and the first of those; `at`: where they stand, 0 for none.
 fn runs_below(l: u32, at: u32) -> vec2<u32> {
+//!if HEIGHTS
+    return vec2(0u);
+//!else
     let n = runs(levels[l].runs + at);
     let first = runs(levels[l].runs + at + select(0u, 1u, at != 0u));
     return select(vec2(0u), vec2(n, first), at != 0u);
+//!endif
 }
 
 // How many of n runs begin at or above a height.
@@ -481,16 +674,6 @@ fn search(l: u32, more: u32, n: u32, h: f32) -> u32 {
         }
     }
     return k;
-}
-
-fn heights(y: vec2<u32>, l: u32) -> vec2<f32> {
-    return vec2<f32>(vec2<i32>(y << vec2(l)) - frame.eye_cell.y) - frame.eye_fract.y;
-}
-
-// The first samples whose centres are at or above points (t, h) within the window.
-fn samples_at(t: vec2<f32>, h: vec2<f32>) -> vec2<i32> {
-    let u = (plane.a * t + plane.b * h) / (plane.c * t + plane.e * h);
-    return clamp(vec2<i32>(ceil(u - 0.5)), vec2(lo), vec2(hi));
 }
 
 fn draw(shows: vec2<bool>, h0: vec2<f32>, h1: vec2<f32>, t0: vec2<f32>, t1: vec2<f32>, key: vec2<u32>) {
@@ -525,7 +708,7 @@ fn draw(shows: vec2<bool>, h0: vec2<f32>, h1: vec2<f32>, t0: vec2<f32>, t1: vec2
 
 fn note(start: i32, end: i32, key: u32, rises: bool, hangs: bool) {
     if (rises || hangs) {
-        atomicMin(&keys[select(hanging(end), rising(start - 1), rises)], key);
+        lower_key(select(hanging(end), rising(start - 1), rises), key);
     }
 }
 
@@ -540,10 +723,10 @@ fn fill(start: vec2<i32>, end: vec2<i32>, key: vec2<u32>) {
         let whole = ((j & vec2(BLOCK - 1)) == vec2(0)) & (j + BLOCK <= end);
         let part = ((j & vec2(3)) == vec2(0)) & (j + 4 <= end);
         if (open.x) {
-            atomicMin(&keys[select(select(sample(j.x), four(j.x), part.x), filled(j.x), whole.x)], key.x);
+            lower_key(select(select(sample(j.x), four(j.x), part.x), filled(j.x), whole.x), key.x);
         }
         if (open.y) {
-            atomicMin(&keys[select(select(sample(j.y), four(j.y), part.y), filled(j.y), whole.y)], key.y);
+            lower_key(select(select(sample(j.y), four(j.y), part.y), filled(j.y), whole.y), key.y);
         }
         j += select(select(vec2(1), vec2(4), part), vec2(BLOCK), whole);
     }
@@ -591,8 +774,8 @@ fn settle(lane: u32) {
     var rise = OPEN;
     var hang = OPEN;
     for (var j = first; j < end; j += BLOCK) {
-        rise = min(rise, atomicLoad(&keys[rising(j)]));
-        hang = min(hang, atomicLoad(&keys[hanging(j)]));
+        rise = min(rise, key_at(rising(j)));
+        hang = min(hang, key_at(hanging(j)));
     }
     if (lane < 32u) {
         listed[lane] = rise;
@@ -606,12 +789,12 @@ fn settle(lane: u32) {
         hang = min(hang, select(OPEN, listed[k + 32u], k < lane));
     }
     for (var j = end - BLOCK; j >= first; j -= BLOCK) {
-        rise = min(rise, atomicLoad(&keys[rising(j)]));
-        atomicStore(&keys[rising(j)], rise);
+        rise = min(rise, key_at(rising(j)));
+        set_key(rising(j), rise);
     }
     for (var j = first; j < end; j += BLOCK) {
-        hang = min(hang, atomicLoad(&keys[hanging(j)]));
-        atomicStore(&keys[hanging(j)], hang);
+        hang = min(hang, key_at(hanging(j)));
+        set_key(hanging(j), hang);
     }
     sync();
 }
@@ -620,7 +803,7 @@ fn settle(lane: u32) {
 fn resolve(lane: u32, epoch: i32, over: bool) {
     settle(lane);
     for (var j = plane.first + i32(lane); j < plane.end; j += i32(WIDTH)) {
-        let block = min(atomicLoad(&keys[rising(j)]), atomicLoad(&keys[hanging(j)]));
+        let block = min(key_at(rising(j)), key_at(hanging(j)));
         let key = min(key_of(j), block);
         if (key == OPEN) {
             if (over) {
@@ -629,39 +812,31 @@ fn resolve(lane: u32, epoch: i32, over: bool) {
         } else if (key != 0u) {
             show_key(j, key, epoch);
             if (!over) {
-                atomicStore(&keys[sample(j)], 0u);
+                set_key(sample(j), 0u);
             }
         }
     }
     if (!over) {
         sync();
         for (var i = FINE / 16u + lane; i < 3u * (FINE / 16u); i += WIDTH) {
-            atomicStore(&keys[keys_at + FINE + i], OPEN);
+            set_key(keys_at + FINE + i, OPEN);
         }
         sync();
     }
 }
 
 fn show_key(j: i32, key: u32, epoch: i32) {
-    let order = (key >> RUN_BITS) - 1u;
-    let n = i32(order >> 1u) + epoch;
-    var l = plane.lod_first;
-    while (n >= level_slice[l + 1u]) {
-        l += 1u;
-    }
-    let along = level_cell[l] + (n - level_slice[l]) * step_major;
-    let c = slice_of(l, along);
-    let second = (order & 1u) == 1u;
-    let cell = cell_of(along, select(c.first, c.second, second));
-    let t0 = select(c.t0, c.tm, second);
-    let ix = column_at(l, cell);
-    let entry = columns(levels[l].columns + ix);
+    let met = met_of((key >> RUN_BITS) - 1u, epoch);
+    let l = met.l;
+    let t0 = met.t0;
+    let t1 = met.t1;
+    let ix = column_at(l, met.cell);
+    let entry = column_entry(l, ix);
     var k = key & RUN_MANY;
     var run = entry.x;
     if (k > 0u) {
         run = runs(levels[l].runs + entry.y + k);
     }
-    let t1 = select(c.tm, c.t1, second);
     if (k == RUN_MANY) {
         // One of the runs from here down: the one whose span holds the sample.
         let n_more = runs(levels[l].runs + entry.y);
@@ -690,9 +865,10 @@ fn show_key(j: i32, key: u32, epoch: i32) {
             run = below;
         }
     }
-    write_sample(j, l, cell, ix, k, run, height(run_first(run) << l), height(run_end(run) << l), t0);
+    write_sample(j, l, met.cell, ix, k, run, height(run_first(run) << l), height(run_end(run) << l), t0);
 }
 
+//!endif
 @compute @workgroup_size(WIDTH)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -705,10 +881,10 @@ fn main(
     }
     sight_begin(planes[index].turn);
 //!if STORAGE_KEYS
-    keys_at = index * KEYS;
+    keys_at = 3u * frame.n_planes + index * KEYS;
 //!endif
     begin(lane);
-    let groups = level_group[frame.levels];
+    let groups = level_group[level_count()];
     // Groups of a batch.
     let batch = WIDTH / u32(GROUP);
     var epoch = 0;
@@ -804,7 +980,7 @@ fn main(
         atomicAdd(&counts[2], n_spans);
         sync();
         if (lane < 3u) {
-            counters[3u * index + lane] = atomicLoad(&counts[lane]);
+            atomicStore(&scratch[3u * index + lane], atomicLoad(&counts[lane]));
         }
     }
 }

@@ -30,7 +30,7 @@ use crate::report;
 use crate::stability;
 use crate::tour::{self, View};
 use crate::{
-    Camera, Culling, Error, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
+    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
     renderer,
 };
 
@@ -288,6 +288,10 @@ pub struct DrawArgs {
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
+    /// What may be left out where the frame does not need it, for measuring: auto, off, or some of
+    /// heights,horizon,bounded,one-level,upright
+    #[arg(long, value_name = "LIST", value_parser = features, default_value = "auto")]
+    specialize: Features,
     /// Draw a scene with broken tiles, those as empty
     #[arg(long)]
     skip_broken: bool,
@@ -417,6 +421,10 @@ fn culling(s: &str) -> Result<Culling, String> {
     Ok(culling)
 }
 
+fn features(s: &str) -> std::result::Result<Features, String> {
+    s.parse().map_err(|e: Error| e.to_string())
+}
+
 impl DrawArgs {
     fn options(&self) -> Options {
         let options = Options {
@@ -441,6 +449,7 @@ impl DrawArgs {
             f64_traversal: self.f64,
             ssao_samples: self.ssao_samples,
             fog: self.fog,
+            specialize: self.specialize,
         };
         self.preset.map_or(options, |preset| preset.options(options))
     }
@@ -506,7 +515,7 @@ impl RenderArgs {
         let options = self.draw.options();
         let scene = open_scene(&self.scene, self.draw.skip_broken)?;
         let camera = self.pose(&scene).camera(self.size);
-        let resident = Resident::new(&scene);
+        let resident = Resident::with(&scene, self.draw.specialize);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let mut frame = renderer.draw(&camera, &options, outputs, &mut tell)?;
@@ -579,7 +588,7 @@ impl FlyArgs {
             })?;
         }
 
-        let resident = Resident::new(&scene);
+        let resident = Resident::with(&scene, self.draw.specialize);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let film = Film {
             output: &self.output,
@@ -820,7 +829,8 @@ mod tests {
         let usual = render("").draw.options();
         assert_eq!(usual, Options::default());
         let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --cull horizon,bits \
-                   --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500";
+                   --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500 \
+                   --specialize heights,upright";
         let expected = Options {
             view_distance: 40_000.0,
             repeat: Repeat { x: true, z: true },
@@ -835,6 +845,7 @@ mod tests {
             shading: Shading::Ssao,
             ssao_samples: 5,
             fog: Some(2500.0),
+            specialize: [crate::Feature::Heights, crate::Feature::Upright].into_iter().collect(),
         };
         assert_eq!(render(all).draw.options(), expected);
         assert_eq!(render("--planes 77 --lod 2.5 --cull none").draw.options().planes, Planes::Count(77));

@@ -63,4 +63,6 @@ pub struct Stats {
     pub readjusted_saves: Option<SpacingSaves>,
     /// Features that the frame paid for.
     pub specialization: Vec<String>,
+    /// What was left out, since the frame does not need it: [`crate::Feature`]s by name, with the reason.
+    pub left_out: Vec<String>,
 }

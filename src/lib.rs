@@ -70,9 +70,11 @@ pub mod renderer;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod resident;
+pub mod specialize;
 pub mod stability;
 pub mod tour;
 pub mod video;
+pub mod view;
 
 pub use camera::Camera;
 pub use error::{Error, Result};
@@ -82,3 +84,4 @@ pub use gpu::{GpuOptions, GpuRenderer, Kernel};
 pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
 pub use renderer::{CpuRenderer, Outputs};
 pub use resident::Resident;
+pub use specialize::{Feature, Features};

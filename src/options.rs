@@ -1,6 +1,7 @@
 //! What a picture is drawn with.
 
 use crate::cpu::shade::SSAO_SAMPLES;
+use crate::specialize::Features;
 
 /// Neighbours that occlusion may look at.
 pub const SSAO_SAMPLES_LIMIT: u32 = 64;
@@ -88,6 +89,8 @@ pub struct Options {
     pub ssao_samples: u32,
     /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
     pub fog: Option<f64>,
+    /// What may be left out where the frame does not need it; the picture is the same.
+    pub specialize: Features,
 }
 
 impl Default for Options {
@@ -106,6 +109,54 @@ impl Default for Options {
             shading: Shading::Full,
             ssao_samples: SSAO_SAMPLES,
             fog: None,
+            specialize: Features::ALL,
         }
     }
+}
+
+impl Options {
+    /// The flags of `render` and `fly` that stand for these options; those at their defaults are left out.
+    pub fn flags(&self) -> String {
+        let (o, usual) = (self, Options::default());
+        let mut flags: Vec<String> = Vec::new();
+        let mut add = |changed: bool, flag: String| flags.extend(changed.then_some(flag));
+        add(o.view_distance != usual.view_distance, format!("--view-distance {}", o.view_distance));
+        let repeat = match (o.repeat.x, o.repeat.z) {
+            (false, false) => "none",
+            (true, false) => "x",
+            (false, true) => "z",
+            (true, true) => "xz",
+        };
+        add(o.repeat != usual.repeat, format!("--repeat {repeat}"));
+        let planes = match o.planes {
+            Planes::Auto => "auto".into(),
+            Planes::Count(n) => n.to_string(),
+            Planes::Factor(f) => format!("{}%", f * 100.0),
+        };
+        add(o.planes != usual.planes, format!("--planes {planes}"));
+        add(o.lod != usual.lod, format!("--lod {}", o.lod.map_or("off".into(), |px| px.to_string())));
+        add(!o.readjust, "--spacing full".into());
+        add(o.culling != usual.culling, format!("--cull {}", culling_names(o.culling)));
+        add(o.equidistant.is_some(), format!("--equidistant {}", o.equidistant.unwrap_or_default()));
+        add(o.remap == Remap::Nearest, "--remap nearest".into());
+        add(!o.gap_fill, "--no-gap-fill".into());
+        add(o.f64_traversal, "--f64".into());
+        let shading = match o.shading {
+            Shading::None => "none",
+            Shading::Ssn => "ssn",
+            Shading::Ssao => "ssao",
+            Shading::Full => "full",
+        };
+        add(o.shading != usual.shading, format!("--shading {shading}"));
+        add(o.ssao_samples != usual.ssao_samples, format!("--ssao-samples {}", o.ssao_samples));
+        add(o.fog.is_some(), format!("--fog {}", o.fog.unwrap_or_default()));
+        flags.join(" ")
+    }
+}
+
+fn culling_names(c: Culling) -> String {
+    let parts =
+        [(c.horizon, "horizon"), (c.center, "center"), (c.forward, "forward"), (c.bits, "bits"), (c.coarse, "coarse")];
+    let names: Vec<&str> = parts.into_iter().filter_map(|(on, name)| on.then_some(name)).collect();
+    if names.is_empty() { "none".into() } else { names.join(",") }
 }

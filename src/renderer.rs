@@ -8,6 +8,7 @@ use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Planes, Remap, SSAO_SAMPLES_LIMIT, Shading};
 use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
+use crate::specialize::Specialization;
 use planecast_encoder::{ColorMode, Scene};
 use std::time::Instant;
 
@@ -119,6 +120,7 @@ impl<'a> CpuRenderer<'a> {
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
         frame.stats.levels_drawn = setup.levels;
+        frame.stats.left_out = Specialization::new(self.resident, &setup, options).left_out();
         [frame.stats.holes, _] = holes;
         frame.stats.count(counters);
         frame.stats.cpu_ms = Some(StageTimes {

@@ -7,9 +7,12 @@
 //! column entry   | top run: first u16, last u16 | more u32 |   8 B a column, z·nx + x
 //!                  more = 0: no further run, else a position in `runs`
 //! runs           | n | run | run | … n times                   further runs of one column, from the top down
+//! height         | voxels u16 |                                2 B a column, instead of both, where each column of
+//!                                                              the world is empty or one run from the ground up
 //! block          | lowest first u16, highest last u16 |         bounds of 8 × 8 columns
 //! ```
 
+use crate::specialize::{Feature, Features};
 use planecast_encoder::{ColorMode, Columns, Rgb, Run, Scene};
 use rayon::prelude::*;
 
@@ -25,10 +28,7 @@ pub struct ResidentLevel {
     /// Columns along x and z.
     pub nx: u32,
     pub nz: u32,
-    /// Two words a column: the topmost run, and where the others stand.
-    pub columns: Vec<[u32; 2]>,
-    /// `[n, run × n]` for each column with more than one run. Word 0 is unused, so that 0 can mean "none".
-    pub runs: Vec<u32>,
+    pub table: Table,
     /// Height bounds of 8 × 8 columns, `⌈nx/8⌉` a row.
     pub blocks: Vec<u32>,
     /// Lowest voxel and one past the highest, in voxels of this level; equal where the level is empty.
@@ -37,10 +37,27 @@ pub struct ResidentLevel {
     pub paint: Paint,
 }
 
+/// The solid runs of one level's columns.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Table {
+    Runs {
+        /// Two words a column: the topmost run, and where the others stand.
+        columns: Vec<[u32; 2]>,
+        /// `[n, run × n]` for each column with more than one run. Word 0 is unused, so that 0 can mean "none".
+        runs: Vec<u32>,
+    },
+    /// How many voxels each column has, from the ground up; a 0 more where the columns are odd, so that all are whole words.
+    Heights(Vec<u16>),
+}
+
 /// Colours of one level.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Paint {
     None,
+    /// Colour of the one run of column `i`: `colors[i]`. Of a level with heights.
+    Column {
+        colors: Vec<u32>,
+    },
     /// Colour of run `k` (from the top down) of column `i`: `colors[base[i] + k]`.
     Run {
         base: Vec<u32>,
@@ -62,6 +79,8 @@ pub struct Resident {
     pub dims: [u32; 3],
     pub color: ColorMode,
     pub levels: Vec<ResidentLevel>,
+    /// Whether all levels have heights instead of runs.
+    pub heights: bool,
 }
 
 /// Packs a colour for the kernels: r in the low byte, alpha 255.
@@ -70,20 +89,29 @@ pub fn pack_rgb(c: Rgb) -> u32 {
 }
 
 impl Resident {
+    /// The tables with all that the scene does not need left out.
     pub fn new(scene: &Scene) -> Resident {
+        Resident::with(scene, Features::ALL)
+    }
+
+    /// The tables with nothing left out but what `features` names.
+    pub fn with(scene: &Scene, features: Features) -> Resident {
+        let heights = features.has(Feature::Heights)
+            && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
         let levels = scene.levels.par_iter().map(|level| {
             let geometry = level.geometry(scene.encoding);
             let paint = match scene.color {
                 ColorMode::None => Paint::None,
+                ColorMode::Run if heights => column_paint(geometry, &level.colors),
                 ColorMode::Run => run_paint(geometry, &level.colors),
                 ColorMode::Voxel => {
                     let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
                     voxel_paint(exposed, &level.colors)
                 }
             };
-            resident_level(geometry, paint)
+            resident_level(geometry, paint, heights)
         });
-        Resident { dims: scene.dims(), color: scene.color, levels: levels.collect() }
+        Resident { dims: scene.dims(), color: scene.color, levels: levels.collect(), heights }
     }
 
     /// Bytes that the tables take.
@@ -91,32 +119,77 @@ impl Resident {
         let level = |l: &ResidentLevel| {
             let paint = match &l.paint {
                 Paint::None => 0,
+                Paint::Column { colors } => 4 * colors.len(),
                 Paint::Run { base, colors } => 4 * (base.len() + colors.len()),
                 Paint::Voxel { base, exposed, colors } => 4 * (base.len() + colors.len()) + 8 * exposed.len(),
             };
-            (8 * l.columns.len() + 4 * (l.runs.len() + l.blocks.len()) + paint) as u64
+            let table = match &l.table {
+                Table::Runs { columns, runs } => 8 * columns.len() + 4 * runs.len(),
+                Table::Heights(heights) => 2 * heights.len(),
+            };
+            (table + 4 * l.blocks.len() + paint) as u64
         };
         self.levels.iter().map(level).sum()
     }
 }
 
 impl ResidentLevel {
+    /// The topmost run of column number `ix`, [`EMPTY`] where it has none, and where the others stand in the table's runs.
+    #[inline(always)]
+    pub fn entry(&self, ix: usize) -> [u32; 2] {
+        match &self.table {
+            Table::Runs { columns, .. } => columns[ix],
+            Table::Heights(heights) => [run_of_height(heights[ix]), 0],
+        }
+    }
+
+    /// The table's runs; those of heights are none.
+    #[inline(always)]
+    pub fn runs(&self) -> &[u32] {
+        match &self.table {
+            Table::Runs { runs, .. } => runs,
+            Table::Heights(_) => &[],
+        }
+    }
+
     /// The runs of column number `ix`, from the top down.
     pub fn column(&self, ix: usize) -> impl Iterator<Item = Run> + '_ {
-        let [top, more] = self.columns[ix];
+        let [top, more] = self.entry(ix);
         let rest = match more as usize {
             0 => &[][..],
-            at => &self.runs[at + 1..at + 1 + self.runs[at] as usize],
+            at => &self.runs()[at + 1..at + 1 + self.runs()[at] as usize],
         };
         (top != EMPTY).then_some(Run(top)).into_iter().chain(rest.iter().map(|&r| Run(r)))
     }
 }
 
-fn resident_level(geometry: &Columns, paint: Paint) -> ResidentLevel {
-    let (nx, nz) = (geometry.nx(), geometry.nz());
-    let mut columns = Vec::with_capacity(nx as usize * nz as usize);
+/// A run of so many voxels from the ground up.
+#[inline(always)]
+pub fn run_of_height(height: u16) -> u32 {
+    if height == 0 { EMPTY } else { (u32::from(height) - 1) << 16 }
+}
+
+/// Whether each column is empty or one run from the ground up, whose height fits 16 bits.
+fn is_height_field(geometry: &Columns) -> bool {
+    let n = geometry.offsets().len() - 1;
+    (0..n).all(|ix| match &geometry.runs()[geometry.range(ix)] {
+        [] => true,
+        [run] => run.first() == 0 && run.end() <= u32::from(u16::MAX),
+        _ => false,
+    })
+}
+
+fn height_table(geometry: &Columns) -> Table {
+    let n = geometry.offsets().len() - 1;
+    let height = |ix| geometry.runs()[geometry.range(ix)].first().map_or(0, |run| run.end() as u16);
+    Table::Heights((0..n).map(height).chain((n % 2 == 1).then_some(0)).collect())
+}
+
+fn run_table(geometry: &Columns) -> Table {
+    let n = geometry.offsets().len() - 1;
+    let mut columns = Vec::with_capacity(n);
     let mut runs = vec![0];
-    for ix in 0..nx as usize * nz as usize {
+    for ix in 0..n {
         let column = &geometry.runs()[geometry.range(ix)];
         let Some((top, rest)) = column.split_last() else {
             columns.push([EMPTY, 0]);
@@ -130,6 +203,12 @@ fn resident_level(geometry: &Columns, paint: Paint) -> ResidentLevel {
         }
         columns.push([top.0, more]);
     }
+    Table::Runs { columns, runs }
+}
+
+fn resident_level(geometry: &Columns, paint: Paint, heights: bool) -> ResidentLevel {
+    let (nx, nz) = (geometry.nx(), geometry.nz());
+    let table = if heights { height_table(geometry) } else { run_table(geometry) };
     let (bx, bz) = (nx.div_ceil(1 << BLOCK_SHIFT), nz.div_ceil(1 << BLOCK_SHIFT));
     let mut blocks = vec![EMPTY; bx as usize * bz as usize];
     let (mut bottom, mut top) = (u32::MAX, 0);
@@ -144,7 +223,13 @@ fn resident_level(geometry: &Columns, paint: Paint) -> ResidentLevel {
             top = top.max(highest.end());
         }
     }
-    ResidentLevel { nx, nz, columns, runs, blocks, bottom: bottom.min(top), top, paint }
+    ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint }
+}
+
+fn column_paint(geometry: &Columns, colors: &[Rgb]) -> Paint {
+    let n = geometry.offsets().len() - 1;
+    let color = |ix| colors[geometry.range(ix)].first().map_or(0, |&c| pack_rgb(c));
+    Paint::Column { colors: (0..n).map(color).collect() }
 }
 
 fn run_paint(geometry: &Columns, colors: &[Rgb]) -> Paint {
@@ -175,6 +260,7 @@ impl Paint {
     pub fn color(&self, ix: usize, k: u32, y: u32) -> u32 {
         match self {
             Paint::None => UNPAINTED,
+            Paint::Column { colors } => colors[ix],
             Paint::Run { base, colors } => colors[(base[ix] + k) as usize],
             Paint::Voxel { base, exposed, colors } => {
                 let column = &exposed[base[ix] as usize..base[ix + 1] as usize];

@@ -7,7 +7,7 @@ struct Fan {
     first_sample: u32,
     // 1: samples count against the pixel axis.
     flip: u32,
-    // Where the fan's stripe bounds stand, or NONE where stripes are all of one width.
+    // Where the fan's stripes stand in `lines`, or NONE where they are all of one width.
     bounds: u32,
     spacing: f32,
     _pad0: u32,

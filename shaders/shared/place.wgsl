@@ -20,10 +20,15 @@ struct Line {
     narrow: f32,
 }
 
-// Rows first, then the columns of LEFT, then those of RIGHT.
-@group(0) @binding(8) var<storage, read> lines: array<Line>;
-// Half stripes of fans whose stripes differ in width: plane k covers 2k .. 2k+2, its place is 2k+1. (high, low) words.
-@group(0) @binding(9) var<storage, read> bounds: array<vec2<u32>>;
+// Lines, two elements each: rows first, then the columns of LEFT, then those of RIGHT. After them the stripes of fans
+// whose stripes differ in width, one element each: start and middle, (high, low) words.
+@group(0) @binding(8) var<storage, read> lines: array<vec4<u32>>;
+
+fn line_at(i: u32) -> Line {
+    let a = lines[2u * i];
+    let b = lines[2u * i + 1u];
+    return Line(i32(a.x), a.y, i32(a.z), a.w, i32(b.x), i32(b.y), b.z, bitcast<f32>(b.w));
+}
 
 struct Place {
     fan: u32,
@@ -65,7 +70,7 @@ fn below(a: vec2<u32>, b: vec2<u32>) -> bool {
 }
 
 fn place_of(x: u32, y: u32) -> Place {
-    let row = lines[y];
+    let row = line_at(y);
     var f = row.fan;
     var line = row;
     var n = i32(x) - row.anchor;
@@ -75,7 +80,7 @@ fn place_of(x: u32, y: u32) -> Place {
         f = RIGHT;
     }
     if (f == LEFT || f == RIGHT) {
-        line = lines[frame.height + select(0u, frame.width, f == RIGHT) + x];
+        line = line_at(frame.height + select(0u, frame.width, f == RIGHT) + x);
         n = i32(y) - line.anchor;
     }
     let value = line_value(line, n);
@@ -93,14 +98,14 @@ fn place_of(x: u32, y: u32) -> Place {
         var hi = last + 1;
         while (hi - lo > 1) {
             let mid = (lo + hi) / 2;
-            if (below(value, bounds[first + 2u * u32(mid)])) {
+            if (below(value, lines[first + u32(mid)].xy)) {
                 hi = mid;
             } else {
                 lo = mid;
             }
         }
         plane = lo;
-        let middle = bounds[first + 2u * u32(plane) + 1u];
+        let middle = lines[first + u32(plane)].zw;
         let borrow = select(0u, 1u, value.y < middle.y);
         off = f32(i32(value.x - middle.x - borrow)) + f32(value.y - middle.y) * (1.0 / 4294967296.0);
     }

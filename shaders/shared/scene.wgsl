@@ -17,12 +17,49 @@ struct Level {
 
 @group(0) @binding(2) var<uniform> levels: array<Level, MAX_LEVELS>;
 
+//!if HEIGHTS
+//!table columns u32
+//!else
 //!table columns vec2<u32>
+//!endif
+// Runs, then blocks, of each level.
 //!table runs u32
-//!table blocks u32
+// Starts, exposed runs and colours of each level.
 //!table paint u32
-//!table exposed vec2<u32>
-//!table colors u32
+
+// Levels that can be drawn.
+fn level_count() -> u32 {
+    if (ONE_LEVEL) {
+        return 1u;
+    }
+    return frame.levels;
+}
+
+//!if HEIGHTS
+// Voxels of column number `ix`, from the ground up.
+fn voxels(l: u32, ix: u32) -> u32 {
+    return (columns(levels[l].columns + (ix >> 1u)) >> (16u * (ix & 1u))) & 0xffffu;
+}
+
+fn run_of_height(n: u32) -> u32 {
+    return select((n - 1u) << 16u, EMPTY, n == 0u);
+}
+
+//!endif
+// The topmost run of column number `ix`, EMPTY where it has none, and where the others stand, 0 for none.
+fn column_entry(l: u32, ix: u32) -> vec2<u32> {
+//!if HEIGHTS
+    return vec2(run_of_height(voxels(l, ix)), 0u);
+//!else
+    return columns(levels[l].columns + ix);
+//!endif
+}
+
+// Height bounds of the block that holds a cell within the level.
+fn block_of(l: u32, cell: vec2<i32>) -> u32 {
+    let at = vec2<u32>(cell) >> vec2(BLOCK_SHIFT);
+    return runs(levels[l].blocks + at.y * levels[l].blocks_row + at.x);
+}
 
 fn run_first(run: u32) -> i32 {
     return i32(run & 0xffffu);
@@ -39,6 +76,9 @@ fn column_index(l: u32, x: i32, z: i32) -> u32 {
 
 // A cell brought into the first period.
 fn wrap(v: i32, size: i32) -> i32 {
+    if (!REPEATS) {
+        return v;
+    }
     if ((size & (size - 1)) == 0) {
         return v & (size - 1);
     }
@@ -46,10 +86,21 @@ fn wrap(v: i32, size: i32) -> i32 {
     return select(r, r + size, r < 0);
 }
 
+fn in_world(l: u32, cell: vec2<i32>) -> bool {
+    let within = (cell >= vec2(0)) & (cell < levels[l].size);
+    if (!REPEATS) {
+        return all(within);
+    }
+    return (within.x || frame.repeat_x == 1u) && (within.y || frame.repeat_z == 1u);
+}
+
 // Colour of voxel `y` in run number `k` (from the top down) of column number `ix`: `Paint::color`.
 fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
+    if (PAINT == PAINT_COLUMN) {
+        return paint(levels[l].colors + ix);
+    }
     if (PAINT == PAINT_RUN) {
-        return colors(levels[l].colors + paint(levels[l].paint + ix) + k);
+        return paint(levels[l].colors + paint(levels[l].paint + ix) + k);
     }
     if (PAINT == PAINT_VOXEL) {
         let start = paint(levels[l].paint + ix);
@@ -62,15 +113,16 @@ fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
         var hi = to;
         while (hi - lo > 1u) {
             let mid = (lo + hi) / 2u;
-            if ((exposed(levels[l].exposed + mid).x & 0xffffu) <= y) {
+            if ((paint(levels[l].exposed + 2u * mid) & 0xffffu) <= y) {
                 lo = mid;
             } else {
                 hi = mid;
             }
         }
-        let found = exposed(levels[l].exposed + lo);
+        let at = levels[l].exposed + 2u * lo;
+        let found = vec2(paint(at), paint(at + 1u));
         let first = found.x & 0xffffu;
-        return colors(levels[l].colors + found.y + clamp(y, first, found.x >> 16u) - first);
+        return paint(levels[l].colors + found.y + clamp(y, first, found.x >> 16u) - first);
     }
     return UNPAINTED;
 }

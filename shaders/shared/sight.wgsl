@@ -11,13 +11,29 @@ fn sight_begin(index: u32) {
     s_end = edge_slope(plane.end);
 }
 
+// `b` less what tilted sight lines lose along u.
+fn sight_t(b: f32, u: f32) -> f32 {
+    if (UPRIGHT) {
+        return b;
+    }
+    return b - u * plane.e;
+}
+
+// `c · t + e · h`.
+fn sight_scale(t: f32, h: f32) -> f32 {
+    if (UPRIGHT) {
+        return plane.c * t;
+    }
+    return plane.c * t + plane.e * h;
+}
+
 // Slope of the sight line between samples j - 1 and j.
 fn edge_slope(j: i32) -> f32 {
     return slope_at(f32(j));
 }
 
 fn slope_at(u: f32) -> f32 {
-    let t = plane.b - u * plane.e;
+    let t = sight_t(plane.b, u);
     let h = u * plane.c - plane.a;
     if (t > 0.0) {
         return clamp(h / t, -STEEP, STEEP);
@@ -38,7 +54,7 @@ fn sample_at(t: f32, h: f32) -> i32 {
     if (h >= s_end * t) {
         return plane.end;
     }
-    let u = (plane.a * t + plane.b * h) / (plane.c * t + plane.e * h);
+    let u = (plane.a * t + plane.b * h) / sight_scale(t, h);
     return i32(clamp(ceil(u - 0.5), f32(plane.first), f32(plane.end)));
 }
 
@@ -99,7 +115,7 @@ struct Shown {
 // Sample j of a run between heights h0 and h1 whose column begins at t0: bottom, front or top, as `Walk::draw` cuts it.
 fn show(j: i32, l: u32, run: u32, h0: f32, h1: f32, t0: f32) -> Shown {
     // The direction through the sample's centre, kept off zero: no depth overflows.
-    let ray_t = max((plane.b - 0.5 * plane.e) - f32(j) * plane.e, TINY);
+    let ray_t = max(sight_t(sight_t(plane.b, 0.5), f32(j)), TINY);
     let ray_h = (0.5 * plane.c - plane.a) + f32(j) * plane.c;
     let first = run_first(run);
     let last = run_end(run) - 1;
@@ -116,7 +132,6 @@ fn show(j: i32, l: u32, run: u32, h0: f32, h1: f32, t0: f32) -> Shown {
 @group(0) @binding(3) var<storage, read_write> plane_color: array<u32>;
 @group(0) @binding(4) var<storage, read_write> plane_depth: array<u32>;
 @group(0) @binding(5) var<storage, read_write> plane_voxel: array<vec4<i32>>;
-@group(0) @binding(6) var<storage, read_write> counters: array<u32>;
 
 fn write_sky(j: i32) {
     let i = plane.base + u32(j);

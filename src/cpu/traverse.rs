@@ -668,7 +668,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(always)]
     fn column(&mut self, level: &'a ResidentLevel, l: u32, column: usize, t0: R, t1: R) {
         self.counters.columns_visited += 1;
-        let [top, more] = level.columns[column];
+        let [top, more] = level.entry(column);
         let (lo, hi) = self.visible(t0, t1);
         let top = Run(top);
         if self.height(top.end() << l) <= lo || top.0 == EMPTY {
@@ -695,7 +695,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     ) {
         let rest: &[u32] = match more as usize {
             0 => &[],
-            at => &level.runs[at + 1..at + 1 + level.runs[at] as usize],
+            at => &level.runs()[at + 1..at + 1 + level.runs()[at] as usize],
         };
         // The window's heights as whole voxels, rounded outwards.
         let eye = self.eye_y;
@@ -918,6 +918,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             }
             match &level.paint {
                 Paint::None => color.fill(UNPAINTED),
+                Paint::Column { colors } => color.fill(colors[d.column]),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
                 Paint::Voxel { base, exposed, colors } => {
                     let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];

@@ -6,6 +6,7 @@ use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
 use crate::options::Options;
 use crate::renderer::Outputs;
 use crate::resident::Resident;
+use crate::specialize::Features;
 use planecast_encoder::Scene;
 use std::fmt;
 use std::time::{Duration, Instant};
@@ -18,6 +19,8 @@ pub struct Entry {
     pub lanes: Option<u32>,
     /// Whether wgpu's runtime checks are left out.
     pub trusted: bool,
+    /// What may be left out where a frame does not need it.
+    pub specialize: Features,
 }
 
 /// Median, least and greatest of a stage, in milliseconds.
@@ -41,6 +44,7 @@ pub struct Line {
     pub columns: f64,
     pub runs: f64,
     pub spans: f64,
+    pub bytes_scene_gpu: u64,
 }
 
 /// A table of kernels; prints as text.
@@ -51,7 +55,6 @@ pub struct Table {
     pub width: u32,
     pub height: u32,
     pub poses: usize,
-    pub bytes_scene_gpu: u64,
     pub lines: Vec<Line>,
 }
 
@@ -138,16 +141,19 @@ pub fn flythrough(
         width: first.map_or(0, |c| c.width),
         height: first.map_or(0, |c| c.height),
         poses: poses.len(),
-        bytes_scene_gpu: 0,
         lines: Vec::new(),
     };
     for entry in entries {
-        let Entry { kernel, lanes, trusted } = *entry;
+        let Entry { kernel, lanes, trusted, specialize } = *entry;
+        let options = &Options { specialize, ..*options };
+        let own = (specialize != Features::ALL).then(|| Resident::with(scene, specialize));
+        let resident = own.as_ref().unwrap_or(resident);
         let mut gpu =
             GpuRenderer::new(scene, resident, GpuOptions { kernel, lanes, trusted, ..GpuOptions::default() })?;
         (table.device, table.driver) = (gpu.device().0.into(), gpu.device().1.into());
         let mut times = Vec::new();
         let mut work = [0.0; 3];
+        let mut bytes_scene_gpu = 0;
         // A device takes its time to reach its clock.
         let start = Instant::now();
         while table.lines.is_empty() && start.elapsed() < Duration::from_secs(1) {
@@ -162,7 +168,7 @@ pub fn flythrough(
                     continue;
                 }
                 times.push(frame.stats.gpu_ms.expect("frames of the GPU say what they took"));
-                table.bytes_scene_gpu = frame.stats.bytes_scene_gpu;
+                bytes_scene_gpu = frame.stats.bytes_scene_gpu;
                 let stats = [frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn];
                 for (sum, n) in work.iter_mut().zip(stats) {
                     *sum += n as f64 / poses.len() as f64;
@@ -177,6 +183,9 @@ pub fn flythrough(
         if !trusted {
             name += " checked";
         }
+        if specialize != Features::ALL {
+            name += &format!(" {specialize}");
+        }
         table.lines.push(Line {
             kernel: name,
             setup: of(|t| t.setup),
@@ -187,6 +196,7 @@ pub fn flythrough(
             columns: work[0],
             runs: work[1],
             spans: work[2],
+            bytes_scene_gpu,
         });
     }
     Ok(table)
@@ -196,23 +206,27 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{} ({}), {} × {}, {} poses, scene {} MiB",
-            self.device,
-            self.driver,
-            self.width,
-            self.height,
-            self.poses,
-            self.bytes_scene_gpu >> 20
+            "{} ({}), {} × {}, {} poses",
+            self.device, self.driver, self.width, self.height, self.poses
         )?;
         writeln!(
             f,
-            "{:24} {:>23} {:>8} {:>8} {:>8} {:>8} {:>10} {:>10} {:>10}",
-            "kernel (median ms)", "traverse (min–max)", "remap", "shade", "total", "setup", "columns", "runs", "spans"
+            "{:24} {:>23} {:>8} {:>8} {:>8} {:>8} {:>10} {:>10} {:>10} {:>10}",
+            "kernel (median ms)",
+            "traverse (min–max)",
+            "remap",
+            "shade",
+            "total",
+            "setup",
+            "columns",
+            "runs",
+            "spans",
+            "scene KiB"
         )?;
         for l in &self.lines {
             writeln!(
                 f,
-                "{:24} {:7.3} ({:.3}–{:.3}) {:8.3} {:8.3} {:8.3} {:8.3} {:10.0} {:10.0} {:10.0}",
+                "{:24} {:7.3} ({:.3}–{:.3}) {:8.3} {:8.3} {:8.3} {:8.3} {:10.0} {:10.0} {:10.0} {:10}",
                 l.kernel,
                 l.traverse.median,
                 l.traverse.min,
@@ -223,7 +237,8 @@ impl fmt::Display for Table {
                 l.setup.median,
                 l.columns,
                 l.runs,
-                l.spans
+                l.spans,
+                l.bytes_scene_gpu >> 10
             )?;
         }
         Ok(())

@@ -47,17 +47,26 @@ impl Engine {
             })?,
         };
         let info = adapter.get_info();
-        let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
-        // All that the adapter has: scenes and pictures are checked against it, not against the portable defaults.
-        let limits = adapter.limits();
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+        let opened = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)));
+        let (device, queue) = opened
+            .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
+        Ok(Engine::with_device(info, device, queue, trusted))
+    }
+
+    /// What a device is asked for: all that the adapter has, as scenes and pictures are checked against it, not against
+    /// the portable defaults.
+    pub fn wishes(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'static> {
+        wgpu::DeviceDescriptor {
             label: Some("planecast"),
-            required_features: features,
-            required_limits: limits.clone(),
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_limits: adapter.limits(),
             memory_hints: wgpu::MemoryHints::Performance,
             ..wgpu::DeviceDescriptor::default()
-        }))
-        .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
+        }
+    }
+
+    /// On a device that is open already.
+    pub fn with_device(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue, trusted: bool) -> Engine {
         let failure = Arc::new(Mutex::new(None));
         let seen = failure.clone();
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
@@ -68,10 +77,11 @@ impl Engine {
             // Why everything else fails.
             lock(&seen).replace(format!("device lost: {}", one_line(&text)));
         });
+        let (features, limits) = (device.features(), device.limits());
         let tick_ns = features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
         let software = info.device_type == wgpu::DeviceType::Cpu;
         let driver = format!("{} {}", info.driver, info.driver_info).trim().to_string();
-        Ok(Engine {
+        Engine {
             device,
             queue,
             limits,
@@ -82,7 +92,7 @@ impl Engine {
             trusted,
             pipelines: HashMap::new(),
             failure,
-        })
+        }
     }
 
     /// An error if the device reported one since it was opened.

@@ -6,6 +6,7 @@
 
 pub mod bench;
 mod engine;
+pub mod present;
 mod resident;
 pub mod shaders;
 pub mod types;
@@ -14,11 +15,12 @@ use crate::camera::Camera;
 use crate::cpu::shade;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, StageTimes};
+use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Remap, Shading};
 use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::resident::Resident;
+use crate::specialize::{Feature, Specialization};
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
 use resident::GpuResident;
@@ -106,6 +108,7 @@ pub struct GpuRenderer<'a> {
     pending: VecDeque<Pending>,
     /// Read-back buffers that no frame is using.
     free: Vec<wgpu::Buffer>,
+    shown: present::Shown,
 }
 
 /// Where a frame begins.
@@ -128,15 +131,26 @@ enum Pending {
     Drawing(Box<Drawing>),
 }
 
+/// A frame as [`GpuRenderer::draw_from`] leaves it.
+enum Drawn {
+    /// One colour: the eye is inside a voxel.
+    Inside(Box<Frame>),
+    /// The picture is, or will be, in the buffer `shaded`.
+    Sent { plan: Plan, frame: Frame, start: Instant, setup_ms: f64 },
+}
+
 struct Drawing {
     frame: Frame,
     start: Instant,
     submission: wgpu::SubmissionIndex,
-    mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
+    mapped: Mapped,
     readback: wgpu::Buffer,
     parts: Parts,
     setup_ms: f64,
 }
+
+/// Tells when a read-back buffer is mapped.
+type Mapped = mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>;
 
 /// Where things stand in a read-back buffer, in bytes.
 #[derive(Clone, Copy, Default)]
@@ -190,6 +204,15 @@ impl<'a> GpuRenderer<'a> {
     /// Opens the adapter and uploads the scene. Without a usable adapter, or where the scene does not fit, the error says
     /// so.
     pub fn new(scene: &'a Scene, resident: &'a Resident, options: GpuOptions) -> Result<GpuRenderer<'a>> {
+        GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
+    }
+
+    fn with_engine(
+        scene: &'a Scene,
+        resident: &'a Resident,
+        options: GpuOptions,
+        engine: impl FnOnce() -> Result<Engine>,
+    ) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
             let invocation = options.kernel == Kernel::Invocation;
             let fits =
@@ -202,7 +225,7 @@ impl<'a> GpuRenderer<'a> {
                 )));
             }
         }
-        let engine = Engine::new(options.trusted)?;
+        let engine = engine()?;
         let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -212,7 +235,8 @@ impl<'a> GpuRenderer<'a> {
             })
         });
         let (buffers, pending, free) = (HashMap::new(), VecDeque::new(), Vec::new());
-        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free })
+        let shown = present::Shown::default();
+        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free, shown })
     }
 
     /// The adapter's name, and its driver.
@@ -331,6 +355,15 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
+        match self.draw_from(begin, camera, options, outputs)? {
+            Drawn::Inside(frame) => self.pending.push_back(Pending::Done(frame)),
+            Drawn::Sent { plan, frame, start, setup_ms } => self.read_back(&plan, frame, start, setup_ms)?,
+        }
+        Ok(())
+    }
+
+    /// Sends a frame's stages to the device; the picture stays there.
+    fn draw_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Drawn> {
         check(camera, options)?;
         if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
             let fixed = shade::SSAO_SAMPLES;
@@ -344,13 +377,12 @@ impl<'a> GpuRenderer<'a> {
             frame.stats.cpu_ms = None;
             frame.stats.gpu_ms = Some(StageTimes::default());
             frame.stats.bytes_scene_gpu = self.tables.bytes;
-            self.pending.push_back(Pending::Done(Box::new(frame)));
-            return Ok(());
+            return Ok(Drawn::Inside(Box::new(frame)));
         }
         let setup = plane_setup(self.resident, camera, options);
         self.check_steps(&setup, options)?;
         let upload = Upload::new(self.resident, &setup, camera, options);
-        let plan = Plan::new(&setup, camera, options, outputs, &self.options, &self.engine);
+        let plan = Plan::new(self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
         self.upload(&upload, camera);
 
@@ -389,8 +421,9 @@ impl<'a> GpuRenderer<'a> {
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels_drawn = setup.levels;
+        frame.stats.left_out = plan.specialization.left_out();
         frame.stats.bytes_scene_gpu = self.tables.bytes;
-        self.read_back(&plan, frame, start, setup_ms)
+        Ok(Drawn::Sent { plan, frame, start, setup_ms })
     }
 }
 
@@ -424,10 +457,12 @@ struct Plan {
     gap_fill: bool,
     n_counters: u32,
     shading: Shading,
+    specialization: Specialization,
 }
 
 impl Plan {
     fn new(
+        resident: &Resident,
         setup: &Setup,
         camera: &Camera,
         options: &Options,
@@ -458,6 +493,7 @@ impl Plan {
             gap_fill: options.gap_fill,
             n_counters: 0,
             shading: options.shading,
+            specialization: Specialization::new(resident, setup, options),
         };
         match gpu.kernel {
             Kernel::Invocation => {
@@ -473,7 +509,8 @@ impl Plan {
                 plan.lanes = gpu.lanes.unwrap_or(workgroup_lanes(plan.pixels())).min(most);
                 let fine = plan.fine();
                 // As the shader lays them out.
-                plan.words = fine + fine / 4 + 3 * (fine / 16);
+                let ground = plan.specialization.has(Feature::Horizon);
+                plan.words = if ground { fine } else { fine + fine / 4 + 3 * (fine / 16) };
                 plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
@@ -494,11 +531,18 @@ impl Plan {
         self.longest.next_multiple_of(64)
     }
 
+    /// Bytes of the lines that lead from pixels to planes.
+    fn lines(&self) -> u64 {
+        u64::from(self.height + 2 * self.width) * size_of::<types::Line>() as u64
+    }
+
     fn gathers(&self) -> bool {
         self.sparse && !self.retest && self.kernel != Kernel::Raycast
     }
 
-    fn parts(&self) -> Parts {
+    /// What is read back, with the picture or only the figures.
+    fn parts(&self, picture: bool) -> Parts {
+        let pixels = if picture { self.pixels() } else { 0 };
         let mut at = 0u64;
         let mut take = |bytes: u64| {
             let from = at;
@@ -506,9 +550,9 @@ impl Plan {
             from
         };
         Parts {
-            color: take(4 * self.pixels()),
-            depth: take(4 * self.pixels()),
-            voxel: take(if self.image_voxel { 16 * self.pixels() } else { 0 }),
+            color: take(4 * pixels),
+            depth: take(4 * pixels),
+            voxel: take(if self.image_voxel { 16 * pixels } else { 0 }),
             counters: take(12 * u64::from(self.n_counters)),
             holes: take(4),
             times: take(8 * u64::from(TIMES)),
@@ -532,8 +576,7 @@ impl GpuRenderer<'_> {
             ("frame", size_of::<FrameParams>() as u64, U::UNIFORM),
             ("times", 8 * u64::from(TIMES), U::QUERY_RESOLVE),
             ("planes", u64::from(plan.n_planes) * size_of::<types::Plane>() as u64, U::STORAGE),
-            ("lines", u64::from(plan.height + 2 * plan.width) * size_of::<types::Line>() as u64, U::STORAGE),
-            ("bounds", 16 * u64::from(plan.n_planes + 2), U::STORAGE),
+            ("lines", plan.lines() + 16 * u64::from(plan.n_planes), U::STORAGE),
             ("spiral", 8 * 16 * u64::from(shade::SSAO_SAMPLES), U::STORAGE),
             ("plane_color", 4 * planes, U::STORAGE),
             ("plane_depth", 4 * planes, U::STORAGE),
@@ -545,8 +588,7 @@ impl GpuRenderer<'_> {
             ("index", 4 * index, U::STORAGE),
             ("filled", 4 * index, U::STORAGE),
             ("holes", 4, U::STORAGE),
-            ("counters", 12 * u64::from(plan.n_counters), U::STORAGE),
-            ("spill", spill, U::STORAGE),
+            ("scratch", 12 * u64::from(plan.n_counters) + spill, U::STORAGE),
         ];
         let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
         for (name, size, usage) in sizes {
@@ -577,14 +619,18 @@ impl GpuRenderer<'_> {
         self.write("frame", bytemuck::bytes_of(&upload.frame));
         self.write("planes", bytemuck::cast_slice(&upload.planes));
         self.write("lines", bytemuck::cast_slice(&upload.lines));
-        self.write("bounds", bytemuck::cast_slice(&upload.bounds));
+        self.write_at("lines", size_of_val(&upload.lines[..]) as u64, bytemuck::cast_slice(&upload.stripes));
         self.write("holes", &[0; 4]);
         self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), shade::SSAO_SAMPLES)));
     }
 
     fn write(&self, name: &str, bytes: &[u8]) {
+        self.write_at(name, 0, bytes);
+    }
+
+    fn write_at(&self, name: &str, at: u64, bytes: &[u8]) {
         if !bytes.is_empty() {
-            self.engine.queue.write_buffer(&self.buffers[name], 0, bytes);
+            self.engine.queue.write_buffer(&self.buffers[name], at, bytes);
         }
     }
 
@@ -641,8 +687,15 @@ impl GpuRenderer<'_> {
             ("VOXEL", on(voxel)),
             ("COARSE", on(culling.coarse)),
             ("WIDTH", f64::from(plan.lanes)),
+            ("REPEATS", on(!plan.specialization.has(Feature::Bounded))),
+            ("ONE_LEVEL", on(plan.specialization.has(Feature::OneLevel))),
+            ("UPRIGHT", on(plan.specialization.has(Feature::Upright))),
         ];
-        let (name, defines, groups): (_, &[&'static str], _) = match plan.kernel {
+        let mut defines = Vec::new();
+        if plan.specialization.has(Feature::Heights) {
+            defines.push("HEIGHTS");
+        }
+        let (name, groups) = match plan.kernel {
             Kernel::Invocation => {
                 constants.extend([
                     ("HORIZON", on(culling.horizon)),
@@ -651,41 +704,47 @@ impl GpuRenderer<'_> {
                     ("BITS", on(culling.bits)),
                     ("WORDS", f64::from(plan.words)),
                 ]);
-                let defines: &[_] = if plan.spill { &["STORAGE_BITS"] } else { &[] };
-                ("traverse_invocation", defines, [groups(plan.n_planes, plan.lanes), 1])
+                if plan.spill {
+                    defines.push("STORAGE_BITS");
+                }
+                ("traverse_invocation", [groups(plan.n_planes, plan.lanes), 1])
             }
             Kernel::Workgroup => {
                 constants.extend([("HORIZON", on(culling.horizon)), ("FINE", f64::from(plan.fine()))]);
-                let defines: &[_] = if plan.spill { &["STORAGE_KEYS"] } else { &[] };
+                if plan.spill {
+                    defines.push("STORAGE_KEYS");
+                }
+                if plan.specialization.has(Feature::Horizon) {
+                    defines.push("GROUND");
+                }
                 let x = plan.n_planes.min(GROUPS_A_ROW);
-                ("traverse_workgroup", defines, [x, groups(plan.n_planes, x.max(1))])
+                ("traverse_workgroup", [x, groups(plan.n_planes, x.max(1))])
             }
-            Kernel::Raycast => ("raycast", &[], [groups(plan.width, 8), groups(plan.height, 8)]),
+            Kernel::Raycast => ("raycast", [groups(plan.width, 8), groups(plan.height, 8)]),
         };
-        let pipeline = self.engine.pipeline(name, &self.variant(defines), &constants)?;
+        let pipeline = self.engine.pipeline(name, &self.variant(&defines), &constants)?;
         let mut pass = self.pass(encoder, "traverse", 0);
-        self.dispatch(&mut pass, &pipeline, &[("bits", "spill"), ("keys", "spill")], groups);
+        self.dispatch(&mut pass, &pipeline, &[], groups);
         Ok(())
     }
 
     fn remap(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
-        let variant = self.variant(&[]);
-        let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
-        let mut remap = |constants: &[(&str, f64)]| self.engine.pipeline("remap", &variant, constants);
+        let voxel = [("VOXEL", f64::from(u8::from(plan.image_voxel)))];
         if plan.kernel == Kernel::Raycast {
             drop(self.pass(encoder, "remap", 1));
             return Ok(());
         }
         if !plan.gathers() {
-            let pipeline = remap(&[voxel, ("RETEST", f64::from(u8::from(plan.retest)))])?;
+            let defines: &[_] = if plan.retest { &["RETEST"] } else { &[] };
+            let pipeline = self.engine.pipeline("remap", &self.variant(defines), &voxel)?;
             let mut pass = self.pass(encoder, "remap", 1);
             self.dispatch(&mut pass, &pipeline, &[], grid);
             return Ok(());
         }
-        let index = remap(&[voxel, ("INDEX", 1.0)])?;
-        let gather = remap(&[voxel, ("GATHER", 1.0)])?;
-        let fill = self.engine.pipeline("gap_fill", &variant, &[])?;
+        let index = self.engine.pipeline("remap", &self.variant(&["INDEX"]), &voxel)?;
+        let gather = self.engine.pipeline("remap", &self.variant(&["GATHER"]), &voxel)?;
+        let fill = self.engine.pipeline("gap_fill", &self.variant(&[]), &[])?;
         let mut pass = self.pass(encoder, "remap", 1);
         self.dispatch(&mut pass, &index, &[], grid);
         if plan.gap_fill {
@@ -708,7 +767,7 @@ impl GpuRenderer<'_> {
 
     /// Copies what is asked for into a read-back buffer and asks for it to be mapped; does not wait.
     fn read_back(&mut self, plan: &Plan, frame: Frame, start: Instant, setup_ms: f64) -> Result<()> {
-        let parts = plan.parts();
+        let parts = plan.parts(true);
         let place = self.free.iter().position(|b| b.size() >= parts.end);
         let readback = match place {
             Some(i) => self.free.swap_remove(i),
@@ -724,17 +783,27 @@ impl GpuRenderer<'_> {
                 })?
             }
         };
+        let (submission, mapped) = self.ask(plan, parts, &readback);
+        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
+        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
+        Ok(())
+    }
+
+    /// Copies a frame's parts into a read-back buffer and asks for it to be mapped.
+    fn ask(&self, plan: &Plan, parts: Parts, readback: &wgpu::Buffer) -> (wgpu::SubmissionIndex, Mapped) {
+        // Figures alone begin with the counters.
+        let pixels = if parts.counters > 0 { plan.pixels() } else { 0 };
         // A submission of its own: timestamps copied in the one that resolves them can read 0 (wgpu issue 6406).
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut copy = |name: &str, at: u64, bytes: u64| {
             if bytes > 0 {
-                encoder.copy_buffer_to_buffer(&self.buffers[name], 0, &readback, at, bytes);
+                encoder.copy_buffer_to_buffer(&self.buffers[name], 0, readback, at, bytes);
             }
         };
-        copy("shaded", parts.color, 4 * plan.pixels());
-        copy("image_depth", parts.depth, 4 * plan.pixels());
-        copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * plan.pixels() } else { 0 });
-        copy("counters", parts.counters, 12 * u64::from(plan.n_counters));
+        copy("shaded", parts.color, 4 * pixels);
+        copy("image_depth", parts.depth, 4 * pixels);
+        copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
+        copy("scratch", parts.counters, 12 * u64::from(plan.n_counters));
         copy("holes", parts.holes, 4);
         copy("times", parts.times, 8 * u64::from(TIMES));
         let submission = self.engine.queue.submit([encoder.finish()]);
@@ -743,9 +812,7 @@ impl GpuRenderer<'_> {
             // The renderer may be gone by now: then nobody waits for the answer.
             let _ = send.send(result);
         });
-        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
-        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
-        Ok(())
+        (submission, mapped)
     }
 
     fn finish(&mut self, drawing: Drawing) -> Result<Frame> {
@@ -764,16 +831,22 @@ impl GpuRenderer<'_> {
             if parts.counters > parts.voxel {
                 frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
             }
-            let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
-            let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
-            (frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn) = (sum(0), sum(1), sum(2));
-            frame.stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
-            let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
-            frame.stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+            self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
         }
         readback.unmap();
         self.free.push(readback);
         Ok(frame)
+    }
+
+    /// Fills in what the device counted and timed, from a read-back buffer.
+    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) {
+        let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
+        let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
+        let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
+        (stats.columns_visited, stats.runs_visited, stats.spans_drawn) = (sum(0), sum(1), sum(2));
+        stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
+        let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
+        stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
     }
 
     /// Milliseconds by stage; without timestamps only what the host sees.

@@ -4,10 +4,10 @@ use crate::error::{Error, Result};
 use crate::gpu::engine::Engine;
 use crate::gpu::shaders::{Pages, TABLES};
 use crate::gpu::types::{Level, MAX_LEVELS};
-use crate::resident::{BLOCK_SHIFT, Paint, Resident};
+use crate::resident::{BLOCK_SHIFT, Paint, Resident, Table as Columns};
 
 /// Bindings that one table may be cut into.
-const MAX_PAGES: u32 = 4;
+const MAX_PAGES: u32 = 8;
 
 /// Bytes written to the device at a time: what is on its way takes host memory too.
 const CHUNK: usize = 32 << 20;
@@ -16,8 +16,8 @@ const CHUNK: usize = 32 << 20;
 pub struct GpuResident {
     pub levels: wgpu::Buffer,
     /// In the order of [`TABLES`].
-    pub tables: [Vec<wgpu::Buffer>; 6],
-    pub pages: [Pages; 6],
+    pub tables: [Vec<wgpu::Buffer>; 3],
+    pub pages: [Pages; 3],
     pub bytes: u64,
     /// `PAINT_*` of the shaders.
     pub paint: u32,
@@ -45,7 +45,7 @@ impl GpuResident {
             )));
         }
         let (levels, tables, paint) = gather(resident)?;
-        let mut pages = [Pages { n: 1, shift: 31 }; 6];
+        let mut pages = [Pages { n: 1, shift: 31 }; 3];
         let limit = engine.limits.max_storage_buffer_binding_size.min(engine.limits.max_buffer_size).min(binding_size);
         let mut bytes = 0;
         for (table, (name, pages)) in tables.iter().zip(TABLES.iter().zip(&mut pages)) {
@@ -78,7 +78,7 @@ impl GpuResident {
             )));
         }
         let buffers = engine.checked(&format!("scene of {} MiB", bytes >> 20), || {
-            let mut buffers: [Vec<wgpu::Buffer>; 6] = Default::default();
+            let mut buffers: [Vec<wgpu::Buffer>; 3] = Default::default();
             for ((table, pages), (name, out)) in tables.iter().zip(&pages).zip(TABLES.iter().zip(&mut buffers)) {
                 let page = if pages.n == 1 { u64::MAX } else { table.element << pages.shift };
                 let mut left = table.bytes();
@@ -122,50 +122,56 @@ impl GpuResident {
     }
 }
 
-/// Storage buffers that a kernel binds beside the scene's.
-const OTHER_BINDINGS: u32 = 8;
+/// Storage buffers that the kernels of planes bind beside the scene's; with one binding a table that makes the eight that
+/// every device has.
+const OTHER_BINDINGS: u32 = 5;
 
 /// All levels' tables one after the other, and where each level begins.
-fn gather(resident: &Resident) -> Result<([Level; MAX_LEVELS], [Table<'_>; 6], u32)> {
+fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>; 3], u32)> {
     let mut levels = [Level::default(); MAX_LEVELS];
-    let mut tables = [8, 4, 4, 4, 8, 4].map(|element| Table { parts: Vec::new(), element });
+    let column = if resident.heights { 4 } else { 8 };
+    let mut tables = [column, 4, 4].map(|element| Table { parts: Vec::new(), element });
+    // Puts a part at the end of a table: where that is, in elements.
+    let put = |table: &mut Table<'a>, part: &'a [u8]| -> Result<u32> {
+        let at = u32::try_from(table.bytes() / table.element)
+            .map_err(|_| Error::Limit("scene of more than 2³² words a table: try --device cpu".into()))?;
+        table.parts.push(part);
+        Ok(at)
+    };
     let mut paint = 0;
     for (out, level) in levels.iter_mut().zip(&resident.levels) {
-        let mut position = tables.iter().map(|t| u32::try_from(t.bytes() / t.element));
-        let mut next = || {
-            position
-                .next()
-                .expect("six tables")
-                .map_err(|_| Error::Limit("scene of more than 2³² words a table: try --device cpu".into()))
-        };
+        let [columns, runs, paints] = &mut tables;
         *out = Level {
             size: [level.nx as i32, level.nz as i32],
-            columns: next()?,
-            runs: next()?,
-            blocks: next()?,
-            paint: next()?,
-            exposed: next()?,
-            colors: next()?,
             blocks_row: level.nx.div_ceil(1 << BLOCK_SHIFT),
             bottom: level.bottom as i32,
             top: level.top as i32,
-            _pad0: 0,
+            ..Level::default()
         };
-        tables[0].parts.push(bytemuck::cast_slice(&level.columns));
-        tables[1].parts.push(bytemuck::cast_slice(&level.runs));
-        tables[2].parts.push(bytemuck::cast_slice(&level.blocks));
+        match &level.table {
+            Columns::Runs { columns: entries, runs: words } => {
+                out.columns = put(columns, bytemuck::cast_slice(entries))?;
+                out.runs = put(runs, bytemuck::cast_slice(words))?;
+            }
+            Columns::Heights(heights) => out.columns = put(columns, bytemuck::cast_slice(heights))?,
+        }
+        out.blocks = put(runs, bytemuck::cast_slice(&level.blocks))?;
         match &level.paint {
             Paint::None => {}
             Paint::Run { base, colors } => {
                 paint = 1;
-                tables[3].parts.push(bytemuck::cast_slice(base));
-                tables[5].parts.push(bytemuck::cast_slice(colors));
+                out.paint = put(paints, bytemuck::cast_slice(base))?;
+                out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
             Paint::Voxel { base, exposed, colors } => {
                 paint = 2;
-                tables[3].parts.push(bytemuck::cast_slice(base));
-                tables[4].parts.push(bytemuck::cast_slice(exposed));
-                tables[5].parts.push(bytemuck::cast_slice(colors));
+                out.paint = put(paints, bytemuck::cast_slice(base))?;
+                out.exposed = put(paints, bytemuck::cast_slice(exposed))?;
+                out.colors = put(paints, bytemuck::cast_slice(colors))?;
+            }
+            Paint::Column { colors } => {
+                paint = 3;
+                out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
         }
     }

@@ -1,7 +1,7 @@
 //! From the files in `shaders/` to modules: includes, conditions, constants and scene tables are put in here.
 //!
-//! Three directives, each alone on a line: `//!include FILE` puts a file in; `//!if NAME`, `//!else`, `//!endif` keep lines for
-//! one variant; `//!table NAME TYPE` declares a scene table, over as many bindings as it is cut into, and a function of
+//! Three directives, each alone on a line: `//!include FILE` puts a file in; `//!if NAME` (or `!NAME`), `//!else`, `//!endif`
+//! keep lines for one variant; `//!table NAME TYPE` declares a scene table, over as many bindings as it is cut into, and a function of
 //! its name that reads one element. Constants have their home in Rust and are written in front of every shader.
 
 use crate::cpu::remap::HOLE;
@@ -35,7 +35,7 @@ const FILES: &[(&str, &str)] = files![
 const FIRST_TABLE: u32 = 16;
 
 /// The scene's tables, in the order of their page counts in [`Variant::pages`].
-pub const TABLES: [&str; 6] = ["columns", "runs", "blocks", "paint", "exposed", "colors"];
+pub const TABLES: [&str; 3] = ["columns", "runs", "paint"];
 
 /// How tables are cut into bindings: pages, and log2 of the elements of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -48,7 +48,7 @@ pub struct Pages {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
     pub defines: Vec<&'static str>,
-    pub pages: [Pages; 6],
+    pub pages: [Pages; 3],
 }
 
 fn header() -> String {
@@ -73,6 +73,7 @@ fn header() -> String {
     constant("PAINT_NONE", "0u".into());
     constant("PAINT_RUN", "1u".into());
     constant("PAINT_VOXEL", "2u".into());
+    constant("PAINT_COLUMN", "3u".into());
     constant("SSAO_SAMPLES", format!("{}u", shade::SSAO_SAMPLES));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("AMBIENT", format!("{:?}f", shade::AMBIENT));
@@ -84,6 +85,8 @@ fn header() -> String {
     for name in ["VOXEL", "COUNT", "HORIZON", "CENTER", "FORWARD", "BITS", "COARSE"] {
         let _ = writeln!(out, "override {name}: bool = true;");
     }
+    // What a frame can do without: `specialize::Feature`.
+    out.push_str("override REPEATS: bool = true;\noverride ONE_LEVEL: bool = false;\noverride UPRIGHT: bool = false;\n");
     out
 }
 
@@ -110,7 +113,10 @@ fn append(file: &str, variant: &Variant, binding: &mut u32, out: &mut String) {
         };
         let words: Vec<&str> = directive.split_whitespace().collect();
         match words[..] {
-            ["if", name] => kept.push(variant.defines.contains(&name)),
+            ["if", name] => kept.push(match name.strip_prefix('!') {
+                Some(name) => !variant.defines.contains(&name),
+                None => variant.defines.contains(&name),
+            }),
             ["else"] => {
                 let last = kept.last_mut().unwrap_or_else(|| panic!("{}: else without if", place()));
                 *last = !*last;
@@ -172,12 +178,16 @@ mod tests {
     use wgpu::naga;
 
     fn variants() -> Vec<Variant> {
-        let one = [Pages { n: 1, shift: 31 }; 6];
-        let many = [Pages { n: 3, shift: 20 }; 6];
+        let one = [Pages { n: 1, shift: 31 }; 3];
+        let many = [Pages { n: 3, shift: 20 }; 3];
         let mut all = Vec::new();
         for pages in [one, many] {
-            for defines in [vec![], vec!["STORAGE_BITS"], vec!["STORAGE_KEYS"]] {
-                all.push(Variant { defines, pages });
+            for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
+                for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS"]] {
+                    for remap in [&[][..], &["RETEST"], &["INDEX"], &["GATHER"]] {
+                        all.push(Variant { defines: [tables, memory, remap].concat(), pages });
+                    }
+                }
             }
         }
         all
@@ -209,7 +219,8 @@ mod tests {
         let names: Vec<String> =
             bindings(&assemble("shade", &variants()[0])).unwrap().into_iter().map(|b| b.1).collect();
         assert_eq!(names, ["frame", "image_color", "image_depth", "shaded", "spiral"]);
-        let pages = bindings(&assemble("raycast", &variants()[3])).unwrap();
+        let paged = variants().into_iter().find(|v| v.pages[0].n == 3).unwrap();
+        let pages = bindings(&assemble("raycast", &paged)).unwrap();
         assert_eq!(pages.iter().filter(|(_, name)| name.starts_with("columns_")).count(), 3);
     }
 

@@ -133,7 +133,8 @@ pub struct Upload {
     pub frame: FrameParams,
     pub planes: Vec<Plane>,
     pub lines: Vec<Line>,
-    pub bounds: Vec<[u32; 2]>,
+    /// Start and middle of each stripe of the fans whose stripes differ in width; they follow the lines.
+    pub stripes: Vec<[[u32; 2]; 2]>,
 }
 
 /// 32.32 fixed point, saturating.
@@ -169,8 +170,9 @@ impl Upload {
         for f in 0..4 {
             up.frame.fans[f].bounds = NONE;
             if setup.fans[f].n_planes > 0 && setup.fans[f].readjusted.is_some() {
-                up.frame.fans[f].bounds = up.bounds.len() as u32;
-                up.bounds.extend(stripes(&setup.fans[f]));
+                // In elements of 16 bytes: a line takes two.
+                up.frame.fans[f].bounds = 2 * (camera.height + 2 * camera.width) + up.stripes.len() as u32;
+                up.stripes.extend(stripes(&setup.fans[f]));
             }
         }
         up.lines(setup, camera);
@@ -250,13 +252,14 @@ fn fan_line(fan: &Fan, at: f64, step: f64, anchor: i32, narrow: f64) -> Line {
     }
 }
 
-/// Half stripes of a fan whose stripes differ in width, as places on the far edge.
-fn stripes(fan: &Fan) -> impl Iterator<Item = [u32; 2]> + '_ {
+/// Start and middle of each stripe of a fan whose stripes differ in width, as places on the far edge.
+fn stripes(fan: &Fan) -> impl Iterator<Item = [[u32; 2]; 2]> + '_ {
     let r = fan.readjusted.expect("only fans whose stripes differ have bounds");
-    (0..=2 * fan.n_planes).map(move |i| {
-        let at = fixed(r.centre + r.distance * uncrowd(r.start + f64::from(i) * 0.5 * r.step));
+    let place = move |half: f64| {
+        let at = fixed(r.centre + r.distance * uncrowd(r.start + half * 0.5 * r.step));
         [(at >> 32) as u32, at as u32]
-    })
+    };
+    (0..fan.n_planes).map(move |k| [f64::from(2 * k), f64::from(2 * k + 1)].map(place))
 }
 
 impl Plane {

@@ -201,37 +201,14 @@ impl Config {
     /// The flags of `render` and `fly` that draw this, beside those that every configuration of a report has; `None` where
     /// there are none.
     pub fn flags(&self) -> Option<String> {
-        let (o, usual) = (&self.options, Options::default());
-        let mut flags = Vec::new();
-        match self.backend {
-            Backend::Cpu => flags.push("--device cpu".to_owned()),
-            Backend::Gpu(kernel) => flags.push(format!("--device gpu --kernel {kernel}")),
-            Backend::Exact => flags.push("--device exact".to_owned()),
+        let device = match self.backend {
+            Backend::Cpu => "--device cpu".to_owned(),
+            Backend::Gpu(kernel) => format!("--device gpu --kernel {kernel}"),
+            Backend::Exact => "--device exact".to_owned(),
             Backend::EveryOtherRow => return None,
-        }
-        let mut add = |changed: bool, flag: String| flags.extend(changed.then_some(flag));
-        let planes = match o.planes {
-            Planes::Auto => "auto".into(),
-            Planes::Count(n) => n.to_string(),
-            Planes::Factor(f) => format!("{}%", f * 100.0),
         };
-        add(o.planes != usual.planes, format!("--planes {planes}"));
-        add(o.lod != usual.lod, format!("--lod {}", o.lod.map_or("off".into(), |px| px.to_string())));
-        add(!o.readjust, "--spacing full".into());
-        add(o.culling != usual.culling, format!("--cull {}", culling_names(o.culling)));
-        add(o.equidistant.is_some(), format!("--equidistant {}", o.equidistant.unwrap_or_default()));
-        add(o.remap == Remap::Nearest, "--remap nearest".into());
-        add(!o.gap_fill, "--no-gap-fill".into());
-        add(o.f64_traversal, "--f64".into());
-        let shading = match o.shading {
-            Shading::None => "none",
-            Shading::Ssn => "ssn",
-            Shading::Ssao => "ssao",
-            Shading::Full => "full",
-        };
-        add(o.shading != usual.shading, format!("--shading {shading}"));
-        add(o.ssao_samples != usual.ssao_samples, format!("--ssao-samples {}", o.ssao_samples));
-        Some(flags.join(" "))
+        let flags = self.options.flags();
+        Some(if flags.is_empty() { device } else { device + " " + &flags })
     }
 
     /// What `flags` cannot say: a smaller picture, levels of another rule.
@@ -247,13 +224,6 @@ impl Config {
         }
         (!parts.is_empty()).then(|| parts.join(", "))
     }
-}
-
-fn culling_names(c: Culling) -> String {
-    let parts =
-        [(c.horizon, "horizon"), (c.center, "center"), (c.forward, "forward"), (c.bits, "bits"), (c.coarse, "coarse")];
-    let names: Vec<&str> = parts.into_iter().filter_map(|(on, name)| on.then_some(name)).collect();
-    if names.is_empty() { "none".into() } else { names.join(",") }
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 #![cfg(feature = "gpu")]
 
 mod compare;
+mod specialize;
 
 use compare::{Difference, compare};
 use glam::DVec3;

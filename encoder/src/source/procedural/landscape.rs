@@ -2,7 +2,7 @@
 
 use super::noise::{Field, Octaves, hash, sub_seed};
 use super::{blend, push_solid, shade};
-use crate::{Colors, Columns, Input, Result, Rgb};
+use crate::{Colors, Columns, Input, Result, Rgb, Run};
 
 #[derive(Clone, Copy, PartialEq)]
 pub enum Style {
@@ -10,6 +10,8 @@ pub enum Style {
     Terrain,
     /// Smooth, under many floating rocks: about 1.4 runs a column.
     Rocks,
+    /// Rugged ground alone: a height field.
+    Hills,
 }
 
 pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
@@ -24,7 +26,8 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
         gain,
         squash,
     };
-    let rugged = style == Style::Terrain;
+    let rugged = style != Style::Rocks;
+    let hollow = style == Style::Terrain;
 
     // Down to detail of two voxels.
     let n_fine = (ny * 2).ilog2();
@@ -46,7 +49,7 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
     let stone = Field::new(size, 0.0..high, spacing, |p| stone.at(p));
     let tunnel = |i| {
         let o = octaves(i, high * 0.38, 2, 0.4, 0.8);
-        rugged.then(|| Field::new(size, 0.0..high * 0.7, spacing, |p| o.at(p)))
+        hollow.then(|| Field::new(size, 0.0..high * 0.7, spacing, |p| o.at(p)))
     };
     let tunnels = [tunnel(5), tunnel(6)];
     let bend = if rugged { 0.22 * high } else { 0.0 };
@@ -57,6 +60,11 @@ pub fn make(size: u32, seed: u64, style: Style) -> Result<Input> {
         let [b0, b1, b2] = &mut buffers;
         for x in 0..size {
             let ground = height(x, z);
+            if style == Style::Hills {
+                columns.push_run(Run::new(0, ground as u16));
+                columns.end_column();
+                continue;
+            }
             let stone = stone.profile(x, z, b0);
             let tunnels = match &tunnels {
                 [Some(a), Some(b)] => Some((a.profile(x, z, b1), b.profile(x, z, b2))),

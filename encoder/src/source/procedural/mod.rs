@@ -30,6 +30,7 @@ use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run};
 pub enum Kind {
     Terrain,
     Rocks,
+    Hills,
     Mixing,
     Menger,
     Shapes,
@@ -42,7 +43,7 @@ impl Kind {
     /// Side in columns where none is asked for.
     pub fn default_size(self) -> u32 {
         match self {
-            Kind::Terrain | Kind::Rocks | Kind::City => 1024,
+            Kind::Terrain | Kind::Rocks | Kind::Hills | Kind::City => 1024,
             Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent => 512,
             Kind::Menger => 243,
         }
@@ -52,8 +53,8 @@ impl Kind {
 /// Largest side of a landscape, in columns: its noise takes about 3 GiB.
 pub const MAX_SIZE: u32 = 8192;
 
-const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, mixing, menger (level=L), shapes, scan, serpent, \
-     city";
+const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, hills, mixing, menger (level=L), shapes, scan, \
+     serpent, city";
 
 /// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`.
 pub fn from_name(name: &str) -> Result<Box<dyn Pieces>> {
@@ -84,7 +85,7 @@ pub fn procedural(kind: Kind, size: u32, seed: u64) -> Result<Input> {
 /// The same, made piece by piece where the kind allows it.
 pub fn procedural_pieces(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pieces>> {
     let max = match kind {
-        Kind::Terrain | Kind::Rocks | Kind::City => MAX_SIZE,
+        Kind::Terrain | Kind::Rocks | Kind::Hills | Kind::City => MAX_SIZE,
         // These fill cubes: time and memory grow with the volume.
         Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent => 4096,
         Kind::Menger => 3u32.pow(menger::MAX_LEVEL),
@@ -96,6 +97,7 @@ pub fn procedural_pieces(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pie
     match kind {
         Kind::Terrain => in_memory(landscape::make(size, seed, landscape::Style::Terrain)),
         Kind::Rocks => in_memory(landscape::make(size, seed, landscape::Style::Rocks)),
+        Kind::Hills => in_memory(landscape::make(size, seed, landscape::Style::Hills)),
         Kind::Mixing => Ok(Box::new(mixing::make(size, seed))),
         Kind::Menger => Ok(Box::new(menger::make(size)?)),
         Kind::Shapes => in_memory(shapes::make(size, seed)),

@@ -1,0 +1,176 @@
+//! What a scene, a camera and options do not need, and what is therefore left out: every variant is named here, once.
+//!
+//! A [`Feature`] has tables or kernels of its own, which draw the same picture with less. [`Features`] says which of them
+//! may be used, [`Specialization`] which are, and why the others are not. Culling switches that are off ask for the general
+//! walk, since they are there to be measured one by one.
+//!
+//! What else a frame does not pay for needs no choice: colours are looked up as the scene has them (none, per column, per
+//! run, per voxel), shading without normals or occlusion has no code for them, voxels are written where they are read,
+//! visibility bits and keys are as many as the picture's planes have samples, and passes for gap fill run where planes
+//! are sparse.
+
+use crate::error::Error;
+use crate::options::{Culling, Options};
+use crate::plane_setup::Setup;
+use crate::resident::Resident;
+use std::fmt;
+use std::str::FromStr;
+
+/// One thing that can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Feature {
+    /// Run lists, where each column is empty or one run from the ground up: its height alone is kept.
+    Heights,
+    /// Upper window, visibility bits, center segment and the loop over runs, where heights are seen from above the
+    /// ground: whatever a column shows begins where what was drawn before it ends.
+    Horizon,
+    /// The seam of a repeated world, where it does not repeat.
+    Bounded,
+    /// The change of levels, where the view ends in the first.
+    OneLevel,
+    /// Terms of tilted cameras, where pitch and roll are 0.
+    Upright,
+}
+
+impl Feature {
+    pub const ALL: [Feature; 5] =
+        [Feature::Heights, Feature::Horizon, Feature::Bounded, Feature::OneLevel, Feature::Upright];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Feature::Heights => "heights",
+            Feature::Horizon => "horizon",
+            Feature::Bounded => "bounded",
+            Feature::OneLevel => "one-level",
+            Feature::Upright => "upright",
+        }
+    }
+
+    /// What is not paid for.
+    pub fn leaves_out(self) -> &'static str {
+        match self {
+            Feature::Heights => "run lists: each column is one run from the ground up",
+            Feature::Horizon => "upper window, visibility bits, center segment: heights seen from above the ground",
+            Feature::Bounded => "repeated worlds: this one does not repeat",
+            Feature::OneLevel => "change of levels: the view ends in the first",
+            Feature::Upright => "tilted cameras: pitch and roll are 0",
+        }
+    }
+}
+
+/// A set of features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Features(u8);
+
+impl Features {
+    pub const ALL: Features = Features((1 << Feature::ALL.len()) - 1);
+    pub const NONE: Features = Features(0);
+
+    pub fn has(self, feature: Feature) -> bool {
+        self.0 >> feature as u8 & 1 == 1
+    }
+
+    #[must_use]
+    pub fn with(self, feature: Feature) -> Features {
+        Features(self.0 | 1 << feature as u8)
+    }
+
+    pub fn iter(self) -> impl Iterator<Item = Feature> {
+        Feature::ALL.into_iter().filter(move |&f| self.has(f))
+    }
+
+    /// Every set.
+    pub fn sets() -> impl Iterator<Item = Features> {
+        (0..=Features::ALL.0).map(Features)
+    }
+}
+
+impl FromIterator<Feature> for Features {
+    fn from_iter<I: IntoIterator<Item = Feature>>(features: I) -> Features {
+        features.into_iter().fold(Features::NONE, Features::with)
+    }
+}
+
+/// `auto` for all, `off` for none, else names with commas between.
+impl FromStr for Features {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Features, Error> {
+        let feature = |name: &str| {
+            Feature::ALL.into_iter().find(|f| f.name() == name).ok_or_else(|| {
+                let names = Feature::ALL.map(Feature::name).join(", ");
+                Error::Argument(format!("feature {name}: must be auto, off, or some of {names}"))
+            })
+        };
+        match text {
+            "auto" => Ok(Features::ALL),
+            "off" => Ok(Features::NONE),
+            names => names.split(',').map(feature).collect(),
+        }
+    }
+}
+
+impl fmt::Display for Features {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Features::ALL => f.write_str("auto"),
+            Features::NONE => f.write_str("off"),
+            some => f.write_str(&some.iter().map(Feature::name).collect::<Vec<_>>().join(",")),
+        }
+    }
+}
+
+/// The features in force for one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Specialization {
+    pub features: Features,
+}
+
+impl Specialization {
+    /// Of what `options` allow, all that the frame can do without.
+    pub fn new(resident: &Resident, setup: &Setup, options: &Options) -> Specialization {
+        let can = |feature: Feature| match feature {
+            Feature::Heights => resident.heights,
+            Feature::Horizon => resident.heights && options.culling == Culling::ALL && above_ground(setup),
+            Feature::Bounded => !setup.repeats[0] && !setup.repeats[1],
+            Feature::OneLevel => setup.levels == 1,
+            Feature::Upright => setup.planes.iter().all(|p| p.e as f32 == 0.0),
+        };
+        // The tables are what they are by now.
+        let may = |feature: Feature| feature == Feature::Heights || options.specialize.has(feature);
+        Specialization { features: Feature::ALL.into_iter().filter(|&f| may(f) && can(f)).collect() }
+    }
+
+    pub fn has(self, feature: Feature) -> bool {
+        self.features.has(feature)
+    }
+
+    /// What was left out, and why.
+    pub fn left_out(self) -> Vec<String> {
+        self.features.iter().map(|f| format!("{}: {}", f.name(), f.leaves_out())).collect()
+    }
+}
+
+/// Whether the ground's underside, at height 0, lies below the eye, as the walk's own numbers have it.
+fn above_ground(setup: &Setup) -> bool {
+    (-setup.eye_cell[1]) as f32 - (setup.eye_fract[1] as f32) < 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn features_read_what_they_write() {
+        assert_eq!(Features::sets().count(), 32);
+        for set in Features::sets() {
+            assert_eq!(set.to_string().parse::<Features>().unwrap(), set);
+        }
+    }
+
+    #[test]
+    fn features_that_are_unknown_are_refused_by_name() {
+        let e = "heights,hills".parse::<Features>().unwrap_err().to_string();
+        assert!(e.contains("hills") && e.contains("one-level"), "{e}");
+    }
+}

@@ -1,0 +1,183 @@
+//! A scene as it is flown through, from a scene file or from whatever `encode` reads.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use planecast_encoder::info::{self, ByteCounts};
+use planecast_encoder::{PcastFile, Scene};
+
+use crate::resident::Resident;
+use crate::{Error, Result};
+
+#[cfg(not(target_arch = "wasm32"))]
+use {
+    planecast_encoder::encode::{self, EncodeOptions, Watch},
+    planecast_encoder::source::{self, ReadOptions},
+    std::io::Read,
+};
+
+/// A scene, ready to be drawn and walked on.
+pub struct World {
+    /// Where it came from.
+    pub path: PathBuf,
+    /// Whether that was an input that had to be encoded.
+    pub encoded: bool,
+    pub scene: Scene,
+    pub resident: Resident,
+    /// As `info` has it.
+    pub content_hash: String,
+    /// Bytes of the scene file by section.
+    pub bytes: ByteCounts,
+}
+
+/// The first bytes of a scene file.
+fn is_scene(head: &[u8]) -> bool {
+    head.starts_with(&planecast_encoder::format::MAGIC)
+}
+
+impl World {
+    fn of_file(file: &PcastFile, path: &Path, encoded: bool, skip_broken: bool) -> Result<World> {
+        let info = info::info(file);
+        let (scene, info) = if skip_broken {
+            let (scene, _) = file.read_scene_without_broken()?;
+            (scene, info.ok())
+        } else {
+            (file.read_scene()?, Some(info?))
+        };
+        let resident = Resident::new(&scene);
+        let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
+        Ok(World { path: path.to_owned(), encoded, scene, resident, content_hash, bytes })
+    }
+
+    /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
+    pub fn from_bytes(name: &Path, bytes: Vec<u8>) -> Result<World> {
+        if is_scene(&bytes) {
+            return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false);
+        }
+        let input = planecast_encoder::source::read(name, &bytes, &Default::default())?;
+        World::of_input(name, input)
+    }
+
+    /// From an input as an importer gives it.
+    pub fn of_input(name: &Path, input: planecast_encoder::Input) -> Result<World> {
+        let scene = planecast_encoder::build(input, &Default::default())?;
+        let resident = Resident::new(&scene);
+        let (content_hash, bytes) = Default::default();
+        Ok(World { path: name.to_owned(), encoded: true, scene, resident, content_hash, bytes })
+    }
+
+    /// Opens a scene file, or encodes an input as `encode` would, into a passing file. `watch` tells how far that is, and
+    /// stops it.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn open(path: &Path, read: &ReadOptions, skip_broken: bool, watch: &Watch) -> Result<World> {
+        let failed = |e| Error::Scene(planecast_encoder::Error::io(path, "read", e));
+        let procedural = path.to_str().is_some_and(|p| p.starts_with("procedural:"));
+        if !procedural && path.is_file() {
+            let mut head = Vec::new();
+            let file = std::fs::File::open(path).map_err(failed)?;
+            file.take(16).read_to_end(&mut head).map_err(failed)?;
+            if is_scene(&head) {
+                return World::of_file(&PcastFile::open(path)?, path, false, skip_broken);
+            }
+        }
+        let pieces = source::open_pieces(path, read)?;
+        let folder = tempfile::tempdir().map_err(failed)?;
+        let scene = folder.path().join("scene.pcast");
+        encode::encode(&*pieces, &EncodeOptions::default(), &scene, watch)?;
+        World::of_file(&PcastFile::open(&scene)?, path, true, false)
+    }
+
+    /// What a window calls it.
+    pub fn name(&self) -> String {
+        self.path.file_name().map_or_else(|| self.path.display().to_string(), |n| n.to_string_lossy().into_owned())
+    }
+
+    /// What a command is given for it: the scene file, or one that `encode` would make.
+    pub fn scene_file(&self) -> PathBuf {
+        if self.encoded { PathBuf::from(self.name()).with_extension("pcast") } else { self.path.clone() }
+    }
+}
+
+/// A world on its way, opened by a thread of its own.
+#[cfg(not(target_arch = "wasm32"))]
+pub struct Opening {
+    pub path: PathBuf,
+    watch: Arc<Watch>,
+    answer: std::sync::mpsc::Receiver<Result<World>>,
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+impl Opening {
+    pub fn begin(path: &Path, read: &ReadOptions, skip_broken: bool) -> Opening {
+        let watch = Arc::new(Watch::default());
+        let (send, answer) = std::sync::mpsc::channel();
+        let (owned, read, watching) = (path.to_owned(), read.clone(), watch.clone());
+        std::thread::spawn(move || {
+            // Nobody may wait any more.
+            let _ = send.send(World::open(&owned, &read, skip_broken, &watching));
+        });
+        Opening { path: path.to_owned(), watch, answer }
+    }
+
+    /// The world, or why there is none; `None` while it is on its way.
+    pub fn poll(&self) -> Option<Result<World>> {
+        use std::sync::mpsc::TryRecvError;
+        match self.answer.try_recv() {
+            Ok(world) => Some(world),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => {
+                Some(Err(Error::Limit(format!("{}: the thread that opened it has ended early", self.path.display()))))
+            }
+        }
+    }
+
+    /// Share of the encoding that is done, 0 to 1; 0 where nothing is encoded.
+    pub fn progress(&self) -> f32 {
+        use std::sync::atomic::Ordering::Relaxed;
+        let (done, total) = (self.watch.columns.load(Relaxed), self.watch.total.load(Relaxed));
+        if total == 0 { 0.0 } else { done as f32 / total as f32 }
+    }
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+impl Drop for Opening {
+    fn drop(&mut self) {
+        self.watch.stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planecast_encoder::source::ReadOptions;
+
+    #[test]
+    fn world_of_an_input_is_that_of_its_scene_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let name = Path::new("procedural:rocks?size=64&seed=3");
+        let direct = World::open(name, &ReadOptions::default(), false, &Watch::default()).unwrap();
+        assert!(direct.encoded && !direct.content_hash.is_empty());
+        let file = dir.path().join("rocks.pcast");
+        let pieces = source::open_pieces(name, &ReadOptions::default()).unwrap();
+        encode::encode(&*pieces, &EncodeOptions::default(), &file, &Watch::default()).unwrap();
+        let opening = Opening::begin(&file, &ReadOptions::default(), false);
+        let read = loop {
+            match opening.poll() {
+                Some(world) => break world.unwrap(),
+                None => std::thread::yield_now(),
+            }
+        };
+        assert!(!read.encoded && read.scene == direct.scene && read.content_hash == direct.content_hash);
+        let bytes = World::from_bytes(Path::new("dropped"), std::fs::read(&file).unwrap()).unwrap();
+        assert_eq!(bytes.content_hash, direct.content_hash);
+    }
+
+    #[test]
+    fn world_that_cannot_be_opened_says_why() {
+        let open = |name: &str| World::open(Path::new(name), &ReadOptions::default(), false, &Watch::default());
+        assert!(open("/no/such/file").err().unwrap().to_string().contains("/no/such/file"));
+        assert!(open("procedural:nothing").is_err());
+        let broken = World::from_bytes(Path::new("b.pcast"), planecast_encoder::format::MAGIC.to_vec());
+        assert!(broken.err().unwrap().to_string().contains("b.pcast"));
+    }
+}
