@@ -9,7 +9,9 @@
 
 use criterion::{BenchmarkId, Criterion};
 use planecast::gpu::bench::{Entry, film, flythrough, poses, stroll};
-use planecast::{Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes};
+use planecast::{
+    Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes,
+};
 use planecast_encoder::source;
 use planecast_encoder::{BuildOptions, Scene, build};
 use std::path::Path;

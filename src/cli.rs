@@ -30,8 +30,8 @@ use crate::report;
 use crate::stability;
 use crate::tour::{self, View};
 use crate::{
-    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output, pick,
-    renderer,
+    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output,
+    pick, renderer,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes

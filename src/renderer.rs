@@ -103,8 +103,10 @@ impl<'a> CpuRenderer<'a> {
         // Where planes are pixel columns, a pixel's own sample is its own ray.
         let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
         let voxels = outputs.voxel || retest;
-        let traverse = if options.f64_traversal { traverse::traverse::<f64> } else { traverse::traverse::<f32> };
-        let counters = traverse(self.resident, &setup, options.culling, &mut self.buffer, voxels);
+        let traverse =
+            if options.f64_traversal { traverse::traverse_with::<f64> } else { traverse::traverse_with::<f32> };
+        let specialization = Specialization::new(self.resident, &setup, options);
+        let counters = traverse(self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();
@@ -120,7 +122,7 @@ impl<'a> CpuRenderer<'a> {
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
         frame.stats.levels_drawn = setup.levels;
-        frame.stats.left_out = Specialization::new(self.resident, &setup, options).left_out();
+        frame.stats.left_out = specialization.left_out();
         [frame.stats.holes, _] = holes;
         frame.stats.count(counters);
         frame.stats.cpu_ms = Some(StageTimes {

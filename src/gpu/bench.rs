@@ -204,11 +204,7 @@ pub fn flythrough(
 
 impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            f,
-            "{} ({}), {} × {}, {} poses",
-            self.device, self.driver, self.width, self.height, self.poses
-        )?;
+        writeln!(f, "{} ({}), {} × {}, {} poses", self.device, self.driver, self.width, self.height, self.poses)?;
         writeln!(
             f,
             "{:24} {:>23} {:>8} {:>8} {:>8} {:>8} {:>10} {:>10} {:>10} {:>10}",

@@ -86,7 +86,9 @@ fn header() -> String {
         let _ = writeln!(out, "override {name}: bool = true;");
     }
     // What a frame can do without: `specialize::Feature`.
-    out.push_str("override REPEATS: bool = true;\noverride ONE_LEVEL: bool = false;\noverride UPRIGHT: bool = false;\n");
+    out.push_str(
+        "override REPEATS: bool = true;\noverride ONE_LEVEL: bool = false;\noverride UPRIGHT: bool = false;\n",
+    );
     out
 }
 

@@ -888,7 +888,9 @@ fn procedural_scenes_keep_their_promises_at_any_size() {
 #[test]
 fn procedural_scenes_depend_on_the_seed_and_nothing_else() {
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    for kind in [Kind::Terrain, Kind::Rocks, Kind::Hills, Kind::Mixing, Kind::Shapes, Kind::Scan, Kind::Serpent, Kind::City] {
+    for kind in
+        [Kind::Terrain, Kind::Rocks, Kind::Hills, Kind::Mixing, Kind::Shapes, Kind::Scan, Kind::Serpent, Kind::City]
+    {
         let a = made(procedural_pieces(kind, 64, 5));
         assert_eq!(a, one_thread.install(|| made(procedural_pieces(kind, 64, 5))), "{kind:?}");
         assert_ne!(a, made(procedural_pieces(kind, 64, 6)), "{kind:?}");
