@@ -362,13 +362,13 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool
     /// Slopes at the center segment's ends.
     s_center: [R; 2],
     /// Of walks over ground: whether the walk has gone over to the general way; the height of the ground's underside; and,
-    /// below a foot that showed, the open samples `gap` with the slopes at their ends, none where equal.
+    /// below a foot that showed, the open samples `gap`, none where equal, with the slope at their upper end.
     general: bool,
     foot: R,
     /// A slope that sight lines of the window's first sample are above: what does not reach it draws nothing.
     s_next: R,
     gap: [i32; 2],
-    s_gap: [R; 2],
+    s_gap: R,
     /// Level and column of the run being drawn.
     level: u32,
     cell: [i32; 2],
@@ -427,7 +427,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
             foot: R::ZERO,
             s_next: R::ZERO,
             gap: [0; 2],
-            s_gap: [R::ZERO; 2],
+            s_gap: R::ZERO,
             level: 0,
             cell: [0; 2],
             counters: Counters::default(),
@@ -516,15 +516,14 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
         j
     }
 
-    /// The same for one point.
+    /// The same for one point whose slope is above that of the window's lower end.
     #[inline(always)]
     fn sample(&self, t: R, h: R) -> i32 {
         let (lo, hi) = (self.lo, self.hi);
         let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
         let whole = u.truncate(self.limit);
         let inside = (whole - i32::from(R::from_i32(whole) == u)).max(lo).min(hi);
-        let inside = if h >= self.s_hi * t { hi } else { inside };
-        if h <= self.s_lo * t { lo } else { inside }
+        if h >= self.s_hi * t { hi } else { inside }
     }
 
     #[inline(always)]
@@ -801,7 +800,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
     /// Of a walk over ground, whether no foot from `t0` on reaches into the gap.
     #[inline(always)]
     fn gap_is_shut(&self, t0: R) -> bool {
-        !GROUND || self.general || self.gap[0] == self.gap[1] || self.foot >= self.s_gap[1] * t0
+        !GROUND || self.general || self.gap[0] == self.gap[1] || self.foot >= self.s_gap * t0
     }
 
     /// Draws a column of a walk over ground, `height` voxels of level `l` high, its top at `h1`.
@@ -813,7 +812,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
         }
         let h0 = self.foot;
         let (lo, hi) = (self.lo, self.hi);
-        let j0 = if h0 <= self.s_lo * t0 { lo } else { self.sample(t0, h0) };
+        let j0 = if h0 <= self.s_next * t0 { lo } else { self.sample(t0, h0) };
+        // The top is above `s_next`, or the walk goes on in the general way.
         let j1 = self.sample(if h1 <= R::ZERO { t1 } else { t0 }, h1);
         let no_gap = self.gap[0] == self.gap[1];
         if !self.gap_is_shut(t0) || (j0 < j1 && ((j0 > lo && (!no_gap || j1 == hi)) || (!no_gap && j1 == hi))) {
@@ -826,14 +826,14 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
         }
         self.counters.runs_visited += 1;
         self.counters.spans_drawn += 1;
-        let f1 = if h1 < R::ZERO { self.sample(t0, h1).max(j0).min(j1) } else { j1 };
+        let front = if h1 <= self.s_next * t0 { lo } else { self.sample(t0, h1) };
+        let f1 = if h1 < R::ZERO { front.max(j0).min(j1) } else { j1 };
         if j0 > lo {
             self.gap = [lo, j0];
-            self.s_gap = [self.s_lo, self.edge_slope(j0)];
+            self.s_gap = self.edge_slope(j0);
         }
         self.emit_ground(level, l, column, height, [h0, h1, t0], [j0, f1, j1].map(|j| j as usize));
         self.lo = j1;
-        self.s_lo = self.edge_slope(j1);
         self.s_next = self.next_slope();
     }
 
@@ -912,6 +912,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
     #[inline(never)]
     fn generalize(&mut self) {
         self.general = true;
+        self.s_lo = self.edge_slope(self.lo);
         let [from, to] = self.gap;
         if from == to {
             return;
@@ -922,8 +923,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
             self.open[w] &= !filled;
         }
         (self.hull, self.center) = ([to, self.lo], [to, self.lo]);
-        self.s_center = [self.s_gap[1], self.s_lo];
-        (self.lo, self.s_lo) = (from, self.s_gap[0]);
+        self.s_center = [self.s_gap, self.s_lo];
+        (self.lo, self.s_lo) = (from, self.edge_slope(from));
     }
 
     /// Looks at one column between `t0` and `t1`.
