@@ -102,8 +102,10 @@ impl<'a> CpuRenderer<'a> {
         let at = Instant::now();
         let retest = setup.retests(camera, options);
         let voxels = outputs.voxel || retest;
-        let traverse = if options.f64_traversal { traverse::traverse::<f64> } else { traverse::traverse::<f32> };
-        let counters = traverse(self.resident, &setup, options.culling, &mut self.buffer, voxels);
+        let traverse =
+            if options.f64_traversal { traverse::traverse_with::<f64> } else { traverse::traverse_with::<f32> };
+        let specialization = Specialization::new(self.resident, &setup, camera, options, Twin::Cpu);
+        let counters = traverse(self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();
@@ -119,7 +121,7 @@ impl<'a> CpuRenderer<'a> {
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
         frame.stats.levels_drawn = setup.levels;
-        frame.stats.left_out = Specialization::new(self.resident, &setup, camera, options, Twin::Cpu).left_out();
+        frame.stats.left_out = specialization.left_out();
         [frame.stats.holes, _] = holes;
         frame.stats.count(counters);
         frame.stats.cpu_ms = Some(StageTimes {

@@ -35,6 +35,9 @@ pub struct ResidentLevel {
     pub bottom: u32,
     pub top: u32,
     pub paint: Paint,
+    /// Of heights with a colour a voxel: how many colours come before each column's, and in all; else empty. A column's own
+    /// colours are those of its topmost voxels and, below those that are hidden, of voxel 0.
+    pub column_colors: Vec<u32>,
 }
 
 /// The solid runs of one level's columns.
@@ -109,7 +112,13 @@ impl Resident {
                     voxel_paint(exposed, &level.colors)
                 }
             };
-            resident_level(geometry, paint, heights)
+            let column_colors = match (&level.exposed, scene.color) {
+                (Some(exposed), ColorMode::Voxel) if heights => {
+                    exposed.voxel_offsets().into_iter().map(|n| n as u32).collect()
+                }
+                _ => Vec::new(),
+            };
+            ResidentLevel { column_colors, ..resident_level(geometry, paint, heights) }
         });
         Resident { dims: scene.dims(), color: scene.color, levels: levels.collect(), heights }
     }
@@ -127,7 +136,7 @@ impl Resident {
                 Table::Runs { columns, runs } => 8 * columns.len() + 4 * runs.len(),
                 Table::Heights(heights) => 2 * heights.len(),
             };
-            (table + 4 * l.blocks.len() + paint) as u64
+            (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
         };
         self.levels.iter().map(level).sum()
     }
@@ -223,7 +232,7 @@ fn resident_level(geometry: &Columns, paint: Paint, heights: bool) -> ResidentLe
             top = top.max(highest.end());
         }
     }
-    ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint }
+    ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, column_colors: Vec::new() }
 }
 
 fn column_paint(geometry: &Columns, colors: &[Rgb]) -> Paint {

@@ -83,7 +83,7 @@ impl Feature {
 
     /// Whether a twin has tables or kernels for it.
     pub fn is_of(self, twin: Twin) -> bool {
-        twin == Twin::Gpu || self == Feature::Heights
+        twin == Twin::Gpu || matches!(self, Feature::Heights | Feature::Horizon)
     }
 }
 
@@ -160,7 +160,11 @@ impl Specialization {
     pub fn new(resident: &Resident, setup: &Setup, camera: &Camera, options: &Options, twin: Twin) -> Specialization {
         let can = |feature: Feature| match feature {
             Feature::Heights => resident.heights,
-            Feature::Horizon => resident.heights && options.culling == Culling::ALL && above_ground(setup),
+            Feature::Horizon => {
+                // The CPU's slices of the equidistant walk can leave columns out.
+                let whole = twin == Twin::Gpu || options.equidistant.is_none();
+                resident.heights && whole && options.culling == Culling::ALL && above_ground(setup)
+            }
             Feature::Bounded => !setup.repeats[0] && !setup.repeats[1],
             Feature::OneLevel => setup.levels == 1,
             Feature::Upright => setup.planes.iter().all(|p| p.e as f32 == 0.0),

@@ -9,12 +9,20 @@
 //! owns the samples whose centres lie in it, half-open, so neighbours neither overlap nor leave cracks. Points outside
 //! the plane's own window are clipped by comparing `h` with `slope · t`, before any division.
 //!
+//! **Ground.** Heights seen from above the ground's underside ([`Feature::Horizon`]) show nothing below what is nearer: the
+//! foot of a column lies below what the one before it reaches. So the window's lower end alone tells whether a column shows,
+//! and there are no bits, no center and no bottom faces. Where a foot does show (the first column of a world seen from
+//! outside) what is open below it stays open: beneath the ground nothing follows. That holds but for rounding; the walk looks
+//! for feet that rounding puts lower, and for a second gap (behind empty columns), and goes on in the general way there, so
+//! that pictures are the same to the bit. Counters are not: what is not looked at is not counted.
+//!
 //! **Cull.** See [`Culling`]. All tests that reject are half a sample looser than the test that draws, so that no
 //! combination of switches changes a picture.
 
 use crate::options::Culling;
 use crate::plane_setup::{Plane, Setup};
-use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
+use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, Table, UNPAINTED, nearest_exposed};
+use crate::specialize::{Feature, Features, Specialization};
 use planecast_encoder::Run;
 use rayon::prelude::*;
 
@@ -32,6 +40,8 @@ pub trait Real:
 {
     const ZERO: Self;
     const HALF: Self;
+    /// A sixteenth less than a half.
+    const BELOW_CENTRE: Self;
     /// Steeper than any slope between voxels, and safe to multiply with any distance.
     const STEEP: Self;
     /// Nearer to zero no direction's component is taken, so that no depth overflows.
@@ -59,6 +69,7 @@ macro_rules! real {
         impl Real for $t {
             const ZERO: $t = 0.0;
             const HALF: $t = 0.5;
+            const BELOW_CENTRE: $t = 0.4375;
             const STEEP: $t = 1e18;
             const TINY: $t = 1e-20;
             #[inline(always)]
@@ -111,6 +122,9 @@ pub struct PlaneBuffer {
     pub voxel: Vec<[i32; 4]>,
 }
 
+/// Samples that a walk over ground writes at once.
+const LANES: usize = 8;
+
 /// No voxel.
 pub const SKY: [i32; 4] = [-1; 4];
 
@@ -134,7 +148,10 @@ impl std::ops::AddAssign for Counters {
 /// task's planes share the columns they load.
 const PLANES_A_TASK: usize = 8;
 
-/// Walks all planes of a frame. `buffer` is resized to fit.
+/// Beyond any column: equidistant from here on is nowhere.
+const EVERYWHERE: f64 = 1e17;
+
+/// Walks all planes of a frame in the general way. `buffer` is resized to fit.
 pub fn traverse<R: Real>(
     resident: &Resident,
     setup: &Setup,
@@ -142,6 +159,19 @@ pub fn traverse<R: Real>(
     buffer: &mut PlaneBuffer,
     voxels: bool,
 ) -> Counters {
+    traverse_with::<R>(resident, setup, culling, Specialization { features: Features::NONE }, buffer, voxels)
+}
+
+/// The same picture without what the frame does not need.
+pub fn traverse_with<R: Real>(
+    resident: &Resident,
+    setup: &Setup,
+    culling: Culling,
+    specialization: Specialization,
+    buffer: &mut PlaneBuffer,
+    voxels: bool,
+) -> Counters {
+    let ground = specialization.has(Feature::Horizon) && culling == Culling::ALL && setup.equidistant >= EVERYWHERE;
     buffer.color.resize(setup.samples, 0);
     buffer.depth.resize(setup.samples, f32::INFINITY);
     buffer.voxel.resize(if voxels { setup.samples } else { 0 }, SKY);
@@ -178,7 +208,7 @@ pub fn traverse<R: Real>(
             let color = &mut task.color[at.clone()];
             let depth = &mut task.depth[at.clone()];
             let voxel = if voxels { &mut task.voxel[at] } else { &mut [][..] };
-            let task = Task1 { resident, setup, plane, culling, color, depth, voxel };
+            let task = Task1 { resident, setup, plane, culling, ground, color, depth, voxel };
             counters += walk_plane::<R>(task, &mut scratch, avx2);
         }
         counters
@@ -222,6 +252,8 @@ struct Task1<'a> {
     setup: &'a Setup,
     plane: &'a Plane,
     culling: Culling,
+    /// Heights seen from above the ground.
+    ground: bool,
     color: &'a mut [u32],
     depth: &'a mut [f32],
     voxel: &'a mut [[i32; 4]],
@@ -230,17 +262,21 @@ struct Task1<'a> {
 #[inline(always)]
 fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     macro_rules! walk {
-        ($voxel:literal, $fast:literal) => {{
-            let mut walk = Walk::<R, $voxel, $fast>::new(task, scratch);
+        ($voxel:literal, $fast:literal, $ground:literal) => {{
+            let mut walk = Walk::<R, $voxel, $fast, $ground>::new(task, scratch);
             walk.run();
             walk.finish()
         }};
     }
-    match (task.voxel.is_empty(), task.culling == Culling::ALL) {
-        (true, true) => walk!(false, true),
-        (true, false) => walk!(false, false),
-        (false, true) => walk!(true, true),
-        (false, false) => walk!(true, false),
+    // All variants there are. Others were measured and do not pay: terms of tilted cameras, the seam of repeated worlds and
+    // the change of levels are met once a block or a level, not once a column.
+    match (task.voxel.is_empty(), task.culling == Culling::ALL, task.ground) {
+        (true, true, false) => walk!(false, true, false),
+        (true, true, true) => walk!(false, true, true),
+        (true, false, _) => walk!(false, false, false),
+        (false, true, false) => walk!(true, true, false),
+        (false, true, true) => walk!(true, true, true),
+        (false, false, _) => walk!(true, false, false),
     }
 }
 
@@ -286,9 +322,10 @@ struct Drawn<R> {
 }
 
 /// One plane on its way. Fields in this order: `s_lo` and `s_hi` are written one by one and read together, and side by side
-/// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for [`Culling::ALL`], so that the compiler drops the switches.
+/// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for
+/// [`Culling::ALL`], so that the compiler drops the switches; `GROUND` for heights seen from above the ground.
 #[repr(C)]
-struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
+struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> {
     resident: &'a Resident,
     setup: &'a Setup,
     plane: &'a Plane,
@@ -324,16 +361,24 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool> {
     voxel: &'a mut [[i32; 4]],
     /// Slopes at the center segment's ends.
     s_center: [R; 2],
+    /// Of walks over ground: whether the walk has gone over to the general way; the height of the ground's underside; and,
+    /// below a foot that showed, the open samples `gap`, none where equal, with the slope at their upper end.
+    general: bool,
+    foot: R,
+    /// A slope that sight lines of the window's first sample are above: what does not reach it draws nothing.
+    s_next: R,
+    gap: [i32; 2],
+    s_gap: R,
     /// Level and column of the run being drawn.
     level: u32,
     cell: [i32; 2],
     counters: Counters,
 }
 
-impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> {
+impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<'a, R, VOXEL, FAST, GROUND> {
     #[inline(always)]
     fn new(task: Task1<'a>, scratch: &'a mut Scratch<R>) -> Self {
-        let Task1 { resident, setup, plane, culling, color, depth, voxel } = task;
+        let Task1 { resident, setup, plane, culling, ground: _, color, depth, voxel } = task;
         let n = color.len();
         scratch.open.clear();
         scratch.open.resize(n.div_ceil(64), 0);
@@ -378,12 +423,19 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             color,
             depth,
             voxel,
+            general: !GROUND,
+            foot: R::ZERO,
+            s_next: R::ZERO,
+            gap: [0; 2],
+            s_gap: R::ZERO,
             level: 0,
             cell: [0; 2],
             counters: Counters::default(),
         };
+        walk.foot = walk.height(0);
         walk.look();
         walk.s_lo = walk.edge_slope(walk.lo);
+        walk.s_next = walk.next_slope();
         walk.s_hi = walk.edge_slope(walk.hi);
         walk
     }
@@ -407,7 +459,19 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     /// Slope of the sight line between samples `j − 1` and `j`.
     #[inline(always)]
     fn edge_slope(&self, j: i32) -> R {
-        let u = R::from_i32(j);
+        self.slope_at(R::from_i32(j))
+    }
+
+    /// Slope of a sight line a sixteenth of a sample below the centre of the window's first: far more than rounding takes,
+    /// so that what stays below draws nothing.
+    #[inline(always)]
+    fn next_slope(&self) -> R {
+        self.slope_at(R::from_i32(self.lo) + R::BELOW_CENTRE)
+    }
+
+    /// Slope of the sight line at place `u`.
+    #[inline(always)]
+    fn slope_at(&self, u: R) -> R {
         let (t, h) = (self.b - u * self.e, u * self.c - self.a);
         let steep = if h < R::ZERO { R::ZERO - R::STEEP } else { R::STEEP };
         if t > R::ZERO { (h / t).min(R::STEEP).max(R::ZERO - R::STEEP) } else { steep }
@@ -450,6 +514,16 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
             j[i] = if h[i] <= self.s_lo * t[i] { lo } else { inside };
         }
         j
+    }
+
+    /// The same for one point whose slope is above that of the window's lower end.
+    #[inline(always)]
+    fn sample(&self, t: R, h: R) -> i32 {
+        let (lo, hi) = (self.lo, self.hi);
+        let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
+        let whole = u.truncate(self.limit);
+        let inside = (whole - i32::from(R::from_i32(whole) == u)).max(lo).min(hi);
+        if h >= self.s_hi * t { hi } else { inside }
     }
 
     #[inline(always)]
@@ -508,7 +582,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 }
                 // Nothing left can come into the window.
                 if (FAST || self.culling.coarse)
-                    && ((self.s_lo > R::ZERO && self.s_lo * t0 >= top)
+                    && ((self.low_slope() > R::ZERO && self.low_slope() * t0 >= top && self.gap_is_shut(t0))
                         || (self.s_hi < R::ZERO && self.s_hi * t0 <= bottom))
                 {
                     return;
@@ -527,7 +601,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                     return;
                 }
                 // The block of columns that `cell` lies in, cut off where the world repeats.
-                let wrapped = [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])];
+                let wrap = |axis: usize| match cell[axis] {
+                    c if (0..size[axis]).contains(&c) => c,
+                    c => c.rem_euclid(size[axis]),
+                };
+                let wrapped = [wrap(0), wrap(1)];
                 let mut stop = [0; 2];
                 for axis in 0..2 {
                     let w = wrapped[axis];
@@ -545,9 +623,12 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 let exit = [cross(0, stop_line(0)), cross(1, stop_line(1))];
                 let t_exit = exit[0].min(exit[1]);
                 if FAST || self.culling.coarse {
-                    let (lo, hi) = self.visible(t0, t_exit.min(limit));
+                    let (mut lo, hi) = self.visible(t0, t_exit.min(limit));
+                    if GROUND && !self.general {
+                        lo = self.s_next * if self.s_next > R::ZERO { t0 } else { t_exit.min(limit) };
+                    }
                     if bounds.0 == EMPTY
-                        || self.height(bounds.end() << l) <= lo
+                        || (self.height(bounds.end() << l) <= lo && self.gap_is_shut(t0))
                         || self.height(u32::from(bounds.first()) << l) >= hi
                     {
                         // The cell that stepping would have come to at `t`: estimated, then put right.
@@ -587,6 +668,52 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
                 let [mut x, mut z] = cell;
                 let (mut next_x, mut next_z) = (cross(0, (x + ahead[0]) << l), cross(1, (z + ahead[1]) << l));
                 let steps = [step[0] as isize, step[1] as isize * size[0] as isize];
+                if let (false, Table::Heights(heights)) = (!GROUND || self.general, &level.table) {
+                    // The crossings after the next, so that a step need not wait for one to be worked out.
+                    let at_x = |x: i32| (R::from_i32((x << l).wrapping_sub(eye[0])) - fract[0]) * inverse[0];
+                    let at_z = |z: i32| (R::from_i32((z << l).wrapping_sub(eye[1])) - fract[1]) * inverse[1];
+                    let ahead_2 = [ahead[0].wrapping_add(2 * step[0]), ahead[1].wrapping_add(2 * step[1])];
+                    let mut after_x = at_x(x.wrapping_add(ahead[0] + step[0]));
+                    let mut after_z = at_z(z.wrapping_add(ahead[1] + step[1]));
+                    let mut third_x = at_x(x.wrapping_add(ahead_2[0]));
+                    let mut third_z = at_z(z.wrapping_add(ahead_2[1]));
+                    let mut visited = 0;
+                    loop {
+                        let along_z = next_z < next_x;
+                        let t1 = if along_z { next_z } else { next_x }.min(limit);
+                        if t1 > t0 {
+                            let height = u32::from(heights[index as usize]);
+                            let top = self.height(height << l);
+                            visited += 1;
+                            if top > self.s_next * if self.s_next > R::ZERO { t0 } else { t1 } || !self.gap_is_shut(t0)
+                            {
+                                self.cell = [x, z];
+                                self.ground(level, l, index as usize, height, top, t0, t1);
+                                if self.closed() {
+                                    self.counters.columns_visited += visited;
+                                    return;
+                                }
+                            }
+                            t0 = t1;
+                        }
+                        if t0 >= limit {
+                            break;
+                        }
+                        x = x.wrapping_add(if along_z { 0 } else { step[0] });
+                        z = z.wrapping_add(if along_z { step[1] } else { 0 });
+                        if x == stop[0] || z == stop[1] || self.general {
+                            break;
+                        }
+                        index += if along_z { steps[1] } else { steps[0] };
+                        (next_x, after_x) = if along_z { (next_x, after_x) } else { (after_x, third_x) };
+                        (next_z, after_z) = if along_z { (after_z, third_z) } else { (next_z, after_z) };
+                        third_x = at_x(x.wrapping_add(ahead_2[0]));
+                        third_z = at_z(z.wrapping_add(ahead_2[1]));
+                    }
+                    self.counters.columns_visited += visited;
+                    cell = [x, z];
+                    continue;
+                }
                 loop {
                     let along_z = next_z < next_x;
                     let t1 = if along_z { next_z } else { next_x }.min(limit);
@@ -662,6 +789,142 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
     #[inline(never)]
     fn column_apart(&mut self, level: &'a ResidentLevel, l: u32, column: usize, t0: R, t1: R) {
         self.column(level, l, column, t0, t1);
+    }
+
+    /// The slope that what is to be drawn must reach.
+    #[inline(always)]
+    fn low_slope(&self) -> R {
+        if GROUND && !self.general { self.s_next } else { self.s_lo }
+    }
+
+    /// Of a walk over ground, whether no foot from `t0` on reaches into the gap.
+    #[inline(always)]
+    fn gap_is_shut(&self, t0: R) -> bool {
+        !GROUND || self.general || self.gap[0] == self.gap[1] || self.foot >= self.s_gap * t0
+    }
+
+    /// Draws a column of a walk over ground, `height` voxels of level `l` high, its top at `h1`.
+    #[expect(clippy::too_many_arguments, reason = "what the walk knows already")]
+    #[inline(always)]
+    fn ground(&mut self, level: &'a ResidentLevel, l: u32, column: usize, height: u32, h1: R, t0: R, t1: R) {
+        if height == 0 {
+            return;
+        }
+        let h0 = self.foot;
+        let (lo, hi) = (self.lo, self.hi);
+        let j0 = if h0 <= self.s_next * t0 { lo } else { self.sample(t0, h0) };
+        // The top is above `s_next`, or the walk goes on in the general way.
+        let j1 = self.sample(if h1 <= R::ZERO { t1 } else { t0 }, h1);
+        let no_gap = self.gap[0] == self.gap[1];
+        if !self.gap_is_shut(t0) || (j0 < j1 && ((j0 > lo && (!no_gap || j1 == hi)) || (!no_gap && j1 == hi))) {
+            self.generalize();
+            self.column_apart(level, l, column, t0, t1);
+            return;
+        }
+        if j0 >= j1 {
+            return;
+        }
+        self.counters.runs_visited += 1;
+        self.counters.spans_drawn += 1;
+        let front = if h1 <= self.s_next * t0 { lo } else { self.sample(t0, h1) };
+        let f1 = if h1 < R::ZERO { front.max(j0).min(j1) } else { j1 };
+        if j0 > lo {
+            self.gap = [lo, j0];
+            self.s_gap = self.edge_slope(j0);
+        }
+        self.emit_ground(level, l, column, height, [h0, h1, t0], [j0, f1, j1].map(|j| j as usize));
+        self.lo = j1;
+        self.s_next = self.next_slope();
+    }
+
+    /// Writes a column of ground: its front to samples `j0 .. f1`, its top to `f1 .. j1`, as [`Walk::emit`] would.
+    #[inline(always)]
+    fn emit_ground(&mut self, level: &ResidentLevel, l: u32, column: usize, height: u32, at: [R; 3], to: [usize; 3]) {
+        let ([h0, h1, t0], [j0, f1, j1]) = (at, to);
+        let [x, z] = self.cell;
+        let top = height - 1;
+        // How far above the foot each sight line meets the front, in voxels of level 0.
+        let highest = R::from_i32((height << l) as i32 - 1);
+        let y = |slope: R| ((slope * t0 - h0).truncate(highest) as u32) >> l;
+        if j1 - j0 <= LANES && j0 + LANES <= self.hi as usize {
+            // Short spans, as most are, without loops whose ends nobody can foretell: what is written beyond the span is not
+            // drawn yet, and will be.
+            let lanes = j0..j0 + LANES;
+            let Sight { depth_t, slope, depth_h } = &*self.sight;
+            let (depth_t, slope, depth_h) = (&depth_t[lanes.clone()], &slope[lanes.clone()], &depth_h[lanes.clone()]);
+            let (n, up) = (f1 - j0, h1.abs());
+            let mut ys = [top; LANES];
+            for (i, (at, &slope)) in ys.iter_mut().zip(slope).enumerate() {
+                *at = if i < n { y(slope) } else { top };
+            }
+            for (i, z) in self.depth[lanes.clone()].iter_mut().enumerate() {
+                *z = if i < n { t0 * depth_t[i] } else { up * depth_h[i] }.to_f32();
+            }
+            let color = &mut self.color[lanes.clone()];
+            if let Paint::Voxel { colors, .. } = &level.paint {
+                let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
+                let hidden = height - own.len() as u32;
+                for (c, y) in color.iter_mut().zip(ys) {
+                    *c = own[y.saturating_sub(hidden) as usize];
+                }
+            } else {
+                color.fill(level.paint.color(column, 0, top));
+            }
+            if VOXEL {
+                for (v, y) in self.voxel[lanes].iter_mut().zip(ys) {
+                    *v = [x, y as i32, z, l as i32];
+                }
+            }
+            return;
+        }
+        let (depth_t, slope) = (&self.sight.depth_t[j0..f1], &self.sight.slope[j0..f1]);
+        let color = &mut self.color[j0..j1];
+        let depth = &mut self.depth[j0..j1];
+        let n = f1 - j0;
+        if let Paint::Voxel { colors, .. } = &level.paint {
+            // The column's own colours, of its topmost voxels last, of voxel 0 first.
+            let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
+            let hidden = height as usize - own.len();
+            for (c, &s) in color[..n].iter_mut().zip(slope) {
+                *c = own[(y(s) as usize).saturating_sub(hidden)];
+            }
+            color[n..].fill(own[own.len() - 1]);
+        } else {
+            color.fill(level.paint.color(column, 0, top));
+        }
+        for (z, &s) in depth[..n].iter_mut().zip(depth_t) {
+            *z = (t0 * s).to_f32();
+        }
+        let up = h1.abs();
+        for (z, &s) in depth[n..].iter_mut().zip(&self.sight.depth_h[f1..j1]) {
+            *z = (up * s).to_f32();
+        }
+        if VOXEL {
+            for (v, &s) in self.voxel[j0..f1].iter_mut().zip(slope) {
+                *v = [x, y(s) as i32, z, l as i32];
+            }
+            self.voxel[f1..j1].fill([x, top as i32, z, l as i32]);
+        }
+    }
+
+    /// Goes over to the general way: what a walk over ground knows by its window's lower end, as bits, hull and center.
+    #[cold]
+    #[inline(never)]
+    fn generalize(&mut self) {
+        self.general = true;
+        self.s_lo = self.edge_slope(self.lo);
+        let [from, to] = self.gap;
+        if from == to {
+            return;
+        }
+        for w in to as usize / 64..(self.lo as usize).div_ceil(64) {
+            let filled =
+                low_bits((self.lo as usize - 64 * w).min(64)) & !low_bits((to as usize).saturating_sub(64 * w).min(64));
+            self.open[w] &= !filled;
+        }
+        (self.hull, self.center) = ([to, self.lo], [to, self.lo]);
+        self.s_center = [self.s_gap, self.s_lo];
+        (self.lo, self.s_lo) = (from, self.edge_slope(from));
     }
 
     /// Looks at one column between `t0` and `t1`.
@@ -1013,7 +1276,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool> Walk<'a, R, VOXEL, FAST> 
 
     /// What is still unfilled shows the sky.
     #[inline(always)]
-    fn finish(self) -> Counters {
+    fn finish(mut self) -> Counters {
+        if GROUND && !self.general {
+            self.generalize();
+        }
         let (lo, hi) = (self.lo.min(self.hi) as usize, self.hi as usize);
         for (w, &open) in self.open.iter().enumerate() {
             // Bits outside the window are out of date: the window's ends moved over those samples because they are filled.
