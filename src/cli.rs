@@ -42,6 +42,22 @@ pub struct Cli {
     pub command: Command,
 }
 
+/// Which cargo features this program was built with, and without.
+fn features_built() -> String {
+    let all = [
+        ("gpu", cfg!(feature = "gpu")),
+        ("av1", cfg!(feature = "av1")),
+        ("report", cfg!(feature = "report")),
+        ("view", cfg!(feature = "view")),
+        ("zarr", cfg!(feature = "zarr")),
+    ];
+    let names = |on: bool| {
+        let names: Vec<_> = all.iter().filter(|f| f.1 == on).map(|f| f.0).collect();
+        if names.is_empty() { "none".into() } else { names.join(", ") }
+    };
+    format!("built with {}, without {}", names(true), names(false))
+}
+
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Encode(planecast_encoder::cli::EncodeArgs),
@@ -791,7 +807,16 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Merge(args) => args.run().map_err(Error::from),
         Command::Verify(args) => args.run().map_err(Error::from),
         Command::Decode(args) => args.run().map_err(Error::from),
-        Command::Info(args) => args.run().map_err(Error::from),
+        Command::Info(args) => args.run().map_err(Error::from).inspect(|()| {
+            if !args.json {
+                // Nobody may be listening any more.
+                let _ = writeln!(
+                    io::stdout(),
+                    "\nprogram   no GPU driver and no film encoder loaded; {}",
+                    features_built()
+                );
+            }
+        }),
         Command::Query(args) => args.run().map_err(Error::from),
         Command::Render(args) => args.run(),
         Command::Fly(args) => args.run(),

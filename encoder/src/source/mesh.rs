@@ -308,10 +308,14 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
                     None => out.colors.extend(std::iter::repeat_n(srgb([r, g, b]), n)),
                 }
                 out.colors.resize(out.positions.len(), [200; 3]);
-                let indices: Vec<u32> = match reader.read_indices() {
-                    Some(indices) => indices.into_u32().map(|i| base.saturating_add(i)).collect(),
-                    None => (base..base + n as u32).collect(),
+                let indices: Vec<u32> = match (reader.read_indices(), primitive.indices()) {
+                    (Some(indices), _) => indices.into_u32().map(|i| base.saturating_add(i)).collect(),
+                    (None, None) => (base..base + n as u32).collect(),
+                    (None, Some(_)) => return Err(Error::format(path, "glTF: indices that lie outside their buffer")),
                 };
+                if primitive.indices().is_some_and(|of| of.count() != indices.len()) {
+                    return Err(Error::format(path, "glTF: fewer indices than are claimed"));
+                }
                 out.triangles.extend_from_slice(indices.as_chunks::<3>().0);
             }
             if out.triangles.len() > u32::MAX as usize / 4 || nodes.len() > 1 << 20 {

@@ -1293,3 +1293,69 @@ mod zarr_arrays {
         assert!(refused("/shape", "\"wide\"").contains("Zarr"));
     }
 }
+
+/// A binary glTF of one square, 2 × 2 in x and z at y = 0, whose node scales it by 4, lifts it by 3 and paints it.
+#[cfg(feature = "mesh")]
+fn glb(json_more: &str) -> Vec<u8> {
+    let positions: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 2.0], [0.0, 0.0, 2.0]];
+    let indices: [u16; 6] = [0, 1, 2, 0, 2, 3];
+    let mut bin = bytemuck::cast_slice(&positions).to_vec();
+    bin.extend_from_slice(bytemuck::cast_slice(&indices));
+    let mut json = format!(
+        r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}],
+        "nodes": [{{"children": [1], "translation": [0, 3, 0]}}, {{"mesh": 0, "scale": [4, 4, 4]}}],
+        "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0}}, "indices": 1, "material": 0}}]}}],
+        "materials": [{{"pbrMetallicRoughness": {{"baseColorFactor": [1, 0, 0.2159, 1]}}}}],
+        "buffers": [{{"byteLength": {}}}],
+        "bufferViews": [{{"buffer": 0, "byteLength": 48}}, {{"buffer": 0, "byteOffset": 48, "byteLength": 12}}],
+        "accessors": [{{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [2, 0, 2]}},
+                      {{"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}}]{json_more}}}"#,
+        bin.len()
+    )
+    .into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut out = b"glTF".to_vec();
+    let chunk = |kind: &[u8; 4], bytes: &[u8]| [&(bytes.len() as u32).to_le_bytes()[..], kind, bytes].concat();
+    let chunks = [chunk(b"JSON", &json), chunk(b"BIN\0", &bin)].concat();
+    out.extend_from_slice(&2u32.to_le_bytes());
+    out.extend_from_slice(&(12 + chunks.len() as u32).to_le_bytes());
+    out.extend_from_slice(&chunks);
+    out
+}
+
+#[test]
+#[cfg(feature = "mesh")]
+fn gltf_meshes_stand_where_their_nodes_put_them_in_their_material() {
+    let bytes = glb("");
+    let input = read("square.glb", &bytes, "--voxel 1");
+    let columns = &input.columns;
+    // 8 × 8 units, in y one plane: as thin as a voxel can be.
+    assert_eq!((columns.nx(), columns.nz()), (8, 8));
+    assert!((0..8).all(|z| (0..8).all(|x| columns.column(x, z).len() == 1)), "{columns:?}");
+    let scene = crate::build(input, &crate::BuildOptions::default()).unwrap();
+    let color = |of: &[Rgb]| of.iter().all(|c| *c == [255, 0, 128]);
+    assert!(color(&scene.levels[0].colors), "{:?}", &scene.levels[0].colors[..4]);
+}
+
+#[test]
+#[cfg(feature = "mesh")]
+fn gltf_that_is_broken_is_a_plain_error() {
+    let whole = glb("");
+    for n in 0..whole.len() {
+        assert!(super::read(Path::new("cut.glb"), &whole[..n], &opts("--voxel 1")).is_err(), "cut at {n}");
+    }
+    let index = |to: &str| {
+        let from = b"\"count\": 6";
+        let at = whole.windows(from.len()).position(|text| text == from).unwrap();
+        let mut bytes = whole.clone();
+        bytes[at..at + from.len()].copy_from_slice(to.as_bytes());
+        super::read(Path::new("wrong.glb"), &bytes, &opts("--voxel 1"))
+    };
+    assert!(index("\"count\": 6").is_ok());
+    assert!(index("\"count\": 9").is_err());
+    // Indices beyond the points.
+    let mut bytes = whole.clone();
+    let last = bytes.len() - 2;
+    bytes[last..].copy_from_slice(&9u16.to_le_bytes());
+    assert!(super::read(Path::new("wrong.glb"), &bytes, &opts("--voxel 1")).is_err());
+}
