@@ -5,6 +5,7 @@
 //! `PLANECAST_BENCH_POSES` and `PLANECAST_BENCH_PIXELS=WxH` change the columns a side, the poses and the picture). Neither
 //! counts the host's plane setup, the upload or the read-back. Where a name is that of a file (any that `encode` reads), the
 //! flight is a stroll over the ground at level 0, not repeated: [`stroll`]; `--poses` writes it as JSON, for peers.
+//! `PLANECAST_BENCH_VIEW=single` leaves procedural worlds unrepeated too.
 //! `--film` counts frames a second with their read-back, one at a time and several on their way.
 
 use criterion::{BenchmarkId, Criterion};
@@ -42,6 +43,9 @@ fn options(name: &str) -> Options {
     let planes = Planes::Factor(setting("PLANECAST_BENCH_PLANES", 1.0));
     if is_file(name) {
         return Options { lod: None, planes, ..Options::default() };
+    }
+    if std::env::var("PLANECAST_BENCH_VIEW").is_ok_and(|view| view == "single") {
+        return Options { planes, ..Options::default() };
     }
     Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, planes, ..Options::default() }
 }

@@ -9,7 +9,7 @@
 use glam::DVec3;
 use planecast::cpu::traverse::{PlaneBuffer, traverse_with};
 use planecast::plane_setup::plane_setup;
-use planecast::specialize::Specialization;
+use planecast::specialize::{Specialization, Twin};
 use planecast::{Camera, Features, Options, Repeat, Resident};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, PcastFile, Scene, build};
@@ -95,7 +95,7 @@ fn main() {
                 let options = Options { specialize: [Features::NONE, Features::ALL][i], ..options };
                 let frame = |camera| {
                     let setup = plane_setup(&residents[i], camera, &options);
-                    let features = Specialization::new(&residents[i], &setup, &options);
+                    let features = Specialization::new(&residents[i], &setup, camera, &options, Twin::Cpu);
                     left_out = features.features.to_string();
                     (setup, features)
                 };

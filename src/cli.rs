@@ -31,7 +31,7 @@ use crate::stability;
 use crate::tour::{self, View};
 use crate::{
     Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output,
-    pick, renderer,
+    pick, renderer, view,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -52,6 +52,7 @@ pub enum Command {
     Query(planecast_encoder::cli::QueryArgs),
     Render(RenderArgs),
     Fly(FlyArgs),
+    View(ViewArgs),
     Pick(PickArgs),
     Demo(DemoArgs),
     #[cfg(feature = "report")]
@@ -136,6 +137,46 @@ pub struct FlyArgs {
     /// Also write what the last frame drawn cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
+}
+
+/// Open a window to fly in
+///
+/// F1 lists the keys. A scene file, or anything that encode reads, can be given or be dropped on the window.
+#[derive(Debug, Args)]
+pub struct ViewArgs {
+    /// Scene file (.pcast), or an input or name that encode takes
+    input: Option<PathBuf>,
+    /// Where the camera is first, voxels [default: where the scene was left, else a good view]
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
+    eye: Option<DVec3>,
+    /// Degrees; 0 looks along -z, 90 along +x
+    #[arg(long, value_name = "D", value_parser = finite)]
+    yaw: Option<f64>,
+    /// Degrees, -90 to 90, up is positive
+    #[arg(long, value_name = "D", value_parser = pitch)]
+    pitch: Option<f64>,
+    /// Degrees
+    #[arg(long, value_name = "D", value_parser = finite)]
+    roll: Option<f64>,
+    /// Window's width and height, pixels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "1280x720")]
+    window: [u32; 2],
+    /// Fill the screen
+    #[arg(long)]
+    full_screen: bool,
+    /// Hold this many frames a second: with fewer pixels and planes where it must be
+    #[arg(long, value_name = "F", value_parser = fps)]
+    target_fps: Option<f64>,
+    /// Screenshots' width and height, pixels [default: the window's]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    screenshot_size: Option<[u32; 2]>,
+    /// Do what this file says (JSON), as a person would: keys, sizes, screenshots
+    #[arg(long, value_name = "S.json")]
+    script: Option<PathBuf>,
+    #[command(flatten)]
+    draw: DrawArgs,
+    #[command(flatten, next_help_heading = "Reading an input")]
+    read: planecast_encoder::source::ReadOptions,
 }
 
 /// Find the first solid voxel along a ray
@@ -289,7 +330,7 @@ pub struct DrawArgs {
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
     /// What may be left out where the frame does not need it, for measuring: auto, off, or some of
-    /// heights,horizon,bounded,one-level,upright
+    /// heights,horizon,bounded,one-level,upright,packed,late-color
     #[arg(long, value_name = "LIST", value_parser = features, default_value = "auto")]
     specialize: Features,
     /// Draw a scene with broken tiles, those as empty
@@ -618,6 +659,33 @@ impl FlyArgs {
     }
 }
 
+impl ViewArgs {
+    fn run(&self) -> Result<()> {
+        self.draw.set_threads()?;
+        view::view(view::Settings {
+            input: self.input.clone(),
+            how: view::world::How {
+                read: self.read.clone(),
+                skip_broken: self.draw.skip_broken,
+                specialize: self.draw.specialize,
+            },
+            eye: self.eye,
+            yaw: self.yaw,
+            pitch: self.pitch,
+            roll: self.roll,
+            fov: self.draw.fov,
+            device: self.draw.device,
+            kernel: self.draw.kernel.clone(),
+            options: self.draw.options(),
+            size: self.window,
+            full_screen: self.full_screen,
+            target_fps: self.target_fps,
+            screenshot_size: self.screenshot_size,
+            script: self.script.clone(),
+        })
+    }
+}
+
 #[cfg(feature = "report")]
 impl BenchArgs {
     fn run(&self) -> Result<()> {
@@ -727,6 +795,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Query(args) => args.run().map_err(Error::from),
         Command::Render(args) => args.run(),
         Command::Fly(args) => args.run(),
+        Command::View(args) => args.run(),
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),
         #[cfg(feature = "report")]
@@ -859,6 +928,21 @@ mod tests {
             assert_eq!(render(&flags).draw.options(), expected);
             assert!(refused(&format!("{flags} --lod 2")).contains("cannot be used with"));
         }
+    }
+
+    #[test]
+    fn cli_flags_that_options_give_draw_with_them() {
+        let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --cull horizon,coarse \
+                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --specialize heights,packed";
+        for flags in ["", all, "--planes 7 --lod off --cull none --repeat xz --shading none"] {
+            let options = render(flags).draw.options();
+            assert_eq!(render(&options.flags()).draw.options(), options, "{}", options.flags());
+        }
+        let pose =
+            Pose { eye: DVec3::new(0.1 + 0.2, -1e-9, 1e7 / 3.0), yaw: 359.9, pitch: -1.0 / 3.0, roll: -0.0, fov: 60.1 };
+        let args = render(&view::pose_flags(&pose));
+        let typed = (args.eye, args.yaw, args.pitch, args.roll, args.draw.fov);
+        assert_eq!(typed, (Some(pose.eye), Some(pose.yaw), Some(pose.pitch), pose.roll, pose.fov));
     }
 
     #[cfg(feature = "report")]

@@ -41,6 +41,30 @@ impl std::fmt::Display for Agreement {
     }
 }
 
+/// How far two pictures differ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Difference {
+    /// Pixels that are not the same.
+    pub pixels: usize,
+    /// Greatest difference of one channel.
+    pub greatest: u8,
+    /// The first such pixel, as its place in the picture.
+    pub first: Option<usize>,
+}
+
+/// How far two pictures of the same size differ, byte by byte.
+pub fn pictures(a: &[[u8; 4]], b: &[[u8; 4]]) -> Difference {
+    assert_eq!(a.len(), b.len(), "pictures differ in size");
+    let mut difference = Difference::default();
+    for (i, (a, b)) in a.iter().zip(b).enumerate().filter(|(_, (a, b))| a != b) {
+        difference.pixels += 1;
+        difference.first.get_or_insert(i);
+        let channels = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0);
+        difference.greatest = difference.greatest.max(channels);
+    }
+    difference
+}
+
 /// How far `frame` agrees with `reference`.
 pub fn compare(frame: &Frame, reference: &Frame) -> Agreement {
     assert_eq!((frame.width, frame.height), (reference.width, reference.height), "frames differ in size");

@@ -31,6 +31,10 @@
 //! see the eye as a whole voxel and a fraction, so that far from the origin nothing is lost. Colours are sRGB bytes,
 //! averaged in linear light.
 //!
+//! # In a page
+//! For wasm32 (`web/`), what needs files, threads or a command line is left out: `cli`, `demo`, `device`, `fly`, `output`,
+//! `stability`, `video`.
+//!
 //! # Who validates
 //! `planecast_encoder` proves a file before it becomes a `Scene`; [`Resident`] is made from a `Scene` only; kernels trust
 //! it. [`renderer::check`] proves camera and options.
@@ -43,20 +47,28 @@
 #[cfg(feature = "report")]
 pub mod bench;
 pub mod camera;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod cli;
+mod clock;
 pub mod compare;
 pub mod cpu;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod demo;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod device;
 pub mod error;
 pub mod exact;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod fly;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 #[cfg(feature = "report")]
+mod json_lines;
+#[cfg(feature = "report")]
 pub mod machine;
 pub mod options;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod output;
 #[cfg(feature = "report")]
 pub mod page;
@@ -71,8 +83,10 @@ pub mod renderer;
 pub mod report;
 pub mod resident;
 pub mod specialize;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod stability;
 pub mod tour;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod video;
 pub mod view;
 

@@ -150,6 +150,7 @@ impl Options {
         add(o.shading != usual.shading, format!("--shading {shading}"));
         add(o.ssao_samples != usual.ssao_samples, format!("--ssao-samples {}", o.ssao_samples));
         add(o.fog.is_some(), format!("--fog {}", o.fog.unwrap_or_default()));
+        add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));
         flags.join(" ")
     }
 }

@@ -14,7 +14,7 @@
 //! Everything here is computed once a frame in f64 and handed to every kernel as the same numbers.
 
 use crate::camera::{Basis, Camera};
-use crate::options::{Options, Planes};
+use crate::options::{Options, Planes, Remap};
 use crate::resident::Resident;
 use glam::DVec3;
 
@@ -241,6 +241,12 @@ impl Setup {
     /// Whether fewer planes were asked for than reach every pixel, so that there are gaps to fill.
     pub fn is_sparse(&self) -> bool {
         self.fans.iter().any(|f| f.n_planes > 0 && f.spacing > 1.0)
+    }
+
+    /// Whether pixels test samples against their own rays: not where planes are pixel columns, whose samples are those rays,
+    /// nor where holes are to be left open.
+    pub fn retests(&self, camera: &Camera, options: &Options) -> bool {
+        options.remap == Remap::Retest && !self.is_pixel_columns(camera) && (!self.is_sparse() || options.gap_fill)
     }
 
     /// Whether each pixel column is a plane and each pixel its sample (a level, upright camera).

@@ -1,16 +1,16 @@
 //! One frame from camera to picture, stage by stage.
 
 use crate::camera::Camera;
+use crate::clock::Instant;
 use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
 use crate::cpu::{gap_fill, remap, shade, traverse};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Planes, Remap, SSAO_SAMPLES_LIMIT, Shading};
+use crate::options::{Options, Planes, SSAO_SAMPLES_LIMIT, Shading};
 use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
-use crate::specialize::Specialization;
+use crate::specialize::{Specialization, Twin};
 use planecast_encoder::{ColorMode, Scene};
-use std::time::Instant;
 
 /// Pixels a frame may have.
 pub const PIXEL_LIMIT: u64 = 1 << 28;
@@ -100,12 +100,11 @@ impl<'a> CpuRenderer<'a> {
         let setup_ms = milliseconds(start);
 
         let at = Instant::now();
-        // Where planes are pixel columns, a pixel's own sample is its own ray.
-        let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
+        let retest = setup.retests(camera, options);
         let voxels = outputs.voxel || retest;
         let traverse =
             if options.f64_traversal { traverse::traverse_with::<f64> } else { traverse::traverse_with::<f32> };
-        let specialization = Specialization::new(self.resident, &setup, options);
+        let specialization = Specialization::new(self.resident, &setup, camera, options, Twin::Cpu);
         let counters = traverse(self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
         let traverse_ms = milliseconds(at);
 
@@ -176,7 +175,7 @@ impl<'a> CpuRenderer<'a> {
         let width = frame.width;
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
-        if retest && (!sparse || options.gap_fill) {
+        if retest {
             let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
             remap::remap_retest(setup, &self.buffer, camera, color, depth, voxel);
             for v in voxel {

@@ -9,10 +9,12 @@
 //! visibility bits and keys are as many as the picture's planes have samples, and passes for gap fill run where planes
 //! are sparse.
 
+use crate::camera::Camera;
 use crate::error::Error;
 use crate::options::{Culling, Options};
-use crate::plane_setup::Setup;
+use crate::plane_setup::{Plane, Setup};
 use crate::resident::Resident;
+use planecast_encoder::ColorMode;
 use std::fmt;
 use std::str::FromStr;
 
@@ -30,11 +32,29 @@ pub enum Feature {
     OneLevel,
     /// Terms of tilted cameras, where pitch and roll are 0.
     Upright,
+    /// Half of each voxel that planes keep for remap, where no cell that can be drawn is 2²⁰ of its level from the eye.
+    Packed,
+    /// Colours of samples that no pixel takes: remap looks them up by voxel, where runs have no colours of their own.
+    LateColor,
+}
+
+/// Which of the twins draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Twin {
+    Cpu,
+    Gpu,
 }
 
 impl Feature {
-    pub const ALL: [Feature; 5] =
-        [Feature::Heights, Feature::Horizon, Feature::Bounded, Feature::OneLevel, Feature::Upright];
+    pub const ALL: [Feature; 7] = [
+        Feature::Heights,
+        Feature::Horizon,
+        Feature::Bounded,
+        Feature::OneLevel,
+        Feature::Upright,
+        Feature::Packed,
+        Feature::LateColor,
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -43,6 +63,8 @@ impl Feature {
             Feature::Bounded => "bounded",
             Feature::OneLevel => "one-level",
             Feature::Upright => "upright",
+            Feature::Packed => "packed",
+            Feature::LateColor => "late-color",
         }
     }
 
@@ -54,7 +76,14 @@ impl Feature {
             Feature::Bounded => "repeated worlds: this one does not repeat",
             Feature::OneLevel => "change of levels: the view ends in the first",
             Feature::Upright => "tilted cameras: pitch and roll are 0",
+            Feature::Packed => "half of each sample's voxel: no cell is 2^20 from the eye",
+            Feature::LateColor => "colours of samples that no pixel takes: found by voxel",
         }
+    }
+
+    /// Whether a twin has tables or kernels for it.
+    pub fn is_of(self, twin: Twin) -> bool {
+        twin == Twin::Gpu || matches!(self, Feature::Heights | Feature::Horizon)
     }
 }
 
@@ -128,17 +157,26 @@ pub struct Specialization {
 
 impl Specialization {
     /// Of what `options` allow, all that the frame can do without.
-    pub fn new(resident: &Resident, setup: &Setup, options: &Options) -> Specialization {
+    pub fn new(resident: &Resident, setup: &Setup, camera: &Camera, options: &Options, twin: Twin) -> Specialization {
         let can = |feature: Feature| match feature {
             Feature::Heights => resident.heights,
-            Feature::Horizon => resident.heights && options.culling == Culling::ALL && above_ground(setup),
+            Feature::Horizon => {
+                // The CPU's walk has slices of equidistant columns in its general form alone.
+                let steps = twin == Twin::Gpu || options.equidistant.is_none();
+                resident.heights && options.culling == Culling::ALL && above_ground(setup) && steps
+            }
             Feature::Bounded => !setup.repeats[0] && !setup.repeats[1],
             Feature::OneLevel => setup.levels == 1,
             Feature::Upright => setup.planes.iter().all(|p| p.e as f32 == 0.0),
+            Feature::Packed => {
+                setup.retests(camera, options) && setup.planes.iter().all(|p| farthest_cell(setup, p) < PACKED)
+            }
+            Feature::LateColor => setup.retests(camera, options) && resident.color != ColorMode::Run,
         };
         // The tables are what they are by now.
         let may = |feature: Feature| feature == Feature::Heights || options.specialize.has(feature);
-        Specialization { features: Feature::ALL.into_iter().filter(|&f| may(f) && can(f)).collect() }
+        let features = Feature::ALL.into_iter().filter(|&f| f.is_of(twin) && may(f) && can(f));
+        Specialization { features: features.collect() }
     }
 
     pub fn has(self, feature: Feature) -> bool {
@@ -149,6 +187,20 @@ impl Specialization {
     pub fn left_out(self) -> Vec<String> {
         self.features.iter().map(|f| format!("{}: {}", f.name(), f.leaves_out())).collect()
     }
+}
+
+/// Cells from the eye to either side that a packed voxel can say.
+const PACKED: f64 = (1 << 20) as f64;
+
+/// Beyond how many cells of its level from the eye a plane draws nothing.
+fn farthest_cell(setup: &Setup, plane: &Plane) -> f64 {
+    let last = setup.levels.max(1) - 1;
+    let cells = |l: u32| {
+        let end = if l < last { plane.t_end.min(plane.lod_t * f64::from(2u32 << l)) } else { plane.t_end };
+        // Two more for the cell at hand and for rounding.
+        end / f64::from(1u32 << l) + 2.0
+    };
+    (plane.lod_first..=last).map(cells).fold(0.0, f64::max)
 }
 
 /// Whether the ground's underside, at height 0, lies below the eye, as the walk's own numbers have it.
@@ -162,7 +214,7 @@ mod tests {
 
     #[test]
     fn features_read_what_they_write() {
-        assert_eq!(Features::sets().count(), 32);
+        assert_eq!(Features::sets().count(), 128);
         for set in Features::sets() {
             assert_eq!(set.to_string().parse::<Features>().unwrap(), set);
         }

@@ -10,11 +10,19 @@
 //! file ──source──► Pieces ──────encode, by tiles──────► .pcast           within a budget of memory, the same bytes
 //! ```
 
+#![cfg_attr(
+    target_arch = "wasm32",
+    allow(dead_code, reason = "a page reads scenes, and neither logs nor merges parts")
+)]
+
 pub mod build;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod cli;
 pub mod column_rle;
 pub mod columns;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod decode;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod encode;
 pub mod error;
 pub mod exposure;
@@ -24,11 +32,13 @@ pub mod info;
 pub mod input;
 pub mod memory;
 pub mod mips;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod part;
 pub mod pieces;
 pub mod read;
 pub mod run;
 pub mod scene;
+mod scratch;
 pub mod source;
 pub mod srgb;
 pub mod verify;

@@ -17,7 +17,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::format::{self, Grid, TileEntry};
 use crate::read::{Modes, Place, decode_tile};
-use crate::source::{read_at, write_at};
+use crate::scratch::{read_at, write_at};
 use crate::{ColorMode, Encoding, Error, Features, Level, MipRule, Result};
 
 pub const MAGIC: [u8; 8] = *b"\x89PCT\r\n\x1a\n";
@@ -152,16 +152,15 @@ pub struct Part {
 }
 
 impl Part {
+    /// A part of which no record is known.
+    fn new(path: &Path, file: File, plan: Plan) -> Part {
+        let end = size_of::<PartHeader>() as u64;
+        Part { path: path.to_owned(), file, plan, end, finished: false, n_records: 0 }
+    }
+
     /// A new part in an empty file.
     pub fn create(path: &Path, file: File, plan: Plan) -> Result<Part> {
-        let part = Part {
-            path: path.to_owned(),
-            file,
-            plan,
-            end: size_of::<PartHeader>() as u64,
-            finished: false,
-            n_records: 0,
-        };
+        let part = Part::new(path, file, plan);
         part.file.set_len(0).map_err(|e| Error::io(path, "write", e))?;
         part.write(0, bytes_of(&plan.header()))?;
         Ok(part)
@@ -179,14 +178,7 @@ impl Part {
         read_at(&file, bytemuck::bytes_of_mut(&mut header), 0).map_err(failed)?;
         let plan = Plan::from_header(path, &header)?;
         let n_tiles: u64 = format::grids(plan.dims).iter().map(Grid::n_tiles).sum();
-        let mut part = Part {
-            path: path.to_owned(),
-            file,
-            plan,
-            end: size_of::<PartHeader>() as u64,
-            finished: false,
-            n_records: 0,
-        };
+        let mut part = Part::new(path, file, plan);
         let mut buffer = Vec::new();
         while part.end + size_of::<RecordHeader>() as u64 <= len {
             let mut record = RecordHeader::zeroed();

@@ -45,6 +45,17 @@ pub struct PcastFile {
     checked: Vec<AtomicBool>,
 }
 
+#[cfg(not(target_arch = "wasm32"))]
+fn unzstd(bytes: &[u8]) -> std::io::Result<impl Read> {
+    zstd::Decoder::with_buffer(bytes)
+}
+
+/// The same without C.
+#[cfg(target_arch = "wasm32")]
+fn unzstd(bytes: &[u8]) -> std::io::Result<impl Read> {
+    ruzstd::decoding::StreamingDecoder::new(bytes).map_err(|e| std::io::Error::other(e.to_string()))
+}
+
 enum Bytes {
     Mapped(memmap2::Mmap),
     Owned(Vec<u8>),
@@ -235,7 +246,7 @@ impl PcastFile {
         }
         // Memory grows with what the frame really holds, not with what it claims.
         let mut unpacked = Vec::new();
-        zstd::Decoder::with_buffer(bytes)
+        unzstd(bytes)
             .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
             .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
         Blob::new(place, Cow::Owned(unpacked), bytes.len()).map(Some)

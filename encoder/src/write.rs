@@ -2,9 +2,14 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::fs::{self, File};
-use std::io::{BufWriter, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::io::{Seek, SeekFrom, Write};
+use std::path::Path;
+#[cfg(not(target_arch = "wasm32"))]
+use std::{
+    fs::{self, File},
+    io::BufWriter,
+    path::PathBuf,
+};
 
 use bytemuck::Zeroable;
 use rayon::prelude::*;
@@ -18,6 +23,7 @@ use crate::{
     ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
 };
 
+#[cfg(not(target_arch = "wasm32"))]
 /// Writes `path` whole or not at all: into a new file beside it, which is synced and then takes its name. What
 /// stood under the name stays until then.
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
@@ -36,6 +42,7 @@ pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Re
     Ok(())
 }
 
+#[cfg(not(target_arch = "wasm32"))]
 /// The file that writing to `path` makes or replaces, and its folder, if it can be written.
 pub(crate) fn check_target(path: &Path) -> Result<(PathBuf, PathBuf)> {
     let refuse = |kind, text: &str| Err(Error::io(path, "write", std::io::Error::new(kind, text)));
@@ -57,6 +64,7 @@ pub(crate) fn check_target(path: &Path) -> Result<(PathBuf, PathBuf)> {
     Ok((target, folder))
 }
 
+#[cfg(not(target_arch = "wasm32"))]
 /// What a path leads to, links and dots resolved; a file that is not there yet is taken to be in its folder.
 pub fn resolved(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| {
@@ -68,6 +76,7 @@ pub fn resolved(path: &Path) -> PathBuf {
     })
 }
 
+#[cfg(not(target_arch = "wasm32"))]
 /// Refuses to write `output` over `input`, which would be lost.
 pub fn keep_input(input: &Path, flag: &str, output: &Path) -> Result<()> {
     if resolved(input) == resolved(output) {
@@ -77,6 +86,7 @@ pub fn keep_input(input: &Path, flag: &str, output: &Path) -> Result<()> {
     Ok(())
 }
 
+#[cfg(not(target_arch = "wasm32"))]
 /// Writes a scene, atomically. The bytes depend on the scene alone, not on the number of threads.
 pub fn write_scene(scene: &Scene, path: &Path) -> Result<()> {
     write_atomic(path, |out| write_scene_to(scene, out, path))
@@ -192,6 +202,7 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
     }
 }
 
+#[cfg(not(target_arch = "wasm32"))]
 /// A tile with its blob as a zstd frame, where that is smaller.
 pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (TileEntry, Vec<u8>) {
     if blob.is_empty() {

@@ -129,25 +129,33 @@ fn show(j: i32, l: u32, run: u32, h0: f32, h1: f32, t0: f32) -> Shown {
     return Shown(t0 * (plane.delta / ray_t), first + (i32(above) >> l));
 }
 
+//!include shared/sample.wgsl
+
+//!if !LATE_COLOR
 @group(0) @binding(3) var<storage, read_write> plane_color: array<u32>;
+//!endif
 @group(0) @binding(4) var<storage, read_write> plane_depth: array<u32>;
-@group(0) @binding(5) var<storage, read_write> plane_voxel: array<vec4<i32>>;
+@group(0) @binding(5) var<storage, read_write> plane_voxel: array<Voxel>;
 
 fn write_sky(j: i32) {
     let i = plane.base + u32(j);
+//!if !LATE_COLOR
     plane_color[i] = 0u;
+//!endif
     plane_depth[i] = INFINITY;
     if (VOXEL) {
-        plane_voxel[i] = vec4(-1);
+        plane_voxel[i] = NO_VOXEL;
     }
 }
 
 fn write_sample(j: i32, l: u32, cell: vec2<i32>, column: u32, k: u32, run: u32, h0: f32, h1: f32, t0: f32) {
     let shown = show(j, l, run, h0, h1, t0);
     let i = plane.base + u32(j);
+//!if !LATE_COLOR
     plane_color[i] = paint_color(l, column, k, u32(shown.y));
+//!endif
     plane_depth[i] = bitcast<u32>(shown.depth);
     if (VOXEL) {
-        plane_voxel[i] = vec4(cell.x, shown.y, cell.y, i32(l));
+        plane_voxel[i] = pack_voxel(cell, shown.y, l);
     }
 }

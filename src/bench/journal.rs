@@ -4,70 +4,46 @@
 //! comparable. A last line without an end, of a run that was killed, is dropped.
 
 use super::row::Row;
+use crate::json_lines::JsonLines;
 use crate::{Error, Result};
-use planecast_encoder::Error as FileError;
 use std::collections::HashMap;
-use std::fs::{self, File, OpenOptions};
-use std::io::{ErrorKind, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub struct Journal {
-    path: PathBuf,
-    file: File,
+    file: JsonLines,
     rows: HashMap<String, Row>,
 }
 
 impl Journal {
     /// Opens the journal at `path`, or begins one for `settings`.
     pub fn open(path: &Path, settings: &serde_json::Value) -> Result<Journal> {
-        let head = settings.to_string();
-        let text = match fs::read_to_string(path) {
-            Ok(text) => text,
-            Err(e) if e.kind() == ErrorKind::NotFound => String::new(),
-            Err(e) => return Err(FileError::io(path, "read", e).into()),
+        let (file, lines) = JsonLines::open(path)?;
+        let mut journal = Journal { file, rows: HashMap::new() };
+        let Some(first) = lines.first() else {
+            journal.file.append([settings])?;
+            return Ok(journal);
         };
-        let whole = &text[..text.rfind('\n').map_or(0, |at| at + 1)];
-        let mut lines = whole.lines();
-        let mut rows = HashMap::new();
-        if let Some(first) = lines.next() {
-            if first != head {
-                return Err(Error::Argument(format!(
-                    "{}: is of another run ({first}); give -o another folder, or delete this one",
-                    path.display()
-                )));
-            }
-            for (i, line) in lines.enumerate() {
-                let row: Row = serde_json::from_str(line).map_err(|e| {
-                    let line = i + 2;
-                    FileError::format(path, format!("line {line}: {e}; delete the file to measure anew"))
-                })?;
-                rows.insert(row.key.clone(), row);
-            }
+        let head = settings.to_string();
+        if *first != head {
+            return Err(Error::Argument(format!(
+                "{}: is of another run ({first}); give -o another folder, or delete this one",
+                path.display()
+            )));
         }
-        let write = |e| Error::from(FileError::io(path, "write", e));
-        let file = OpenOptions::new().append(true).create(true).open(path).map_err(write)?;
-        file.set_len(whole.len() as u64).map_err(write)?;
-        let mut journal = Journal { path: path.into(), file, rows };
-        if whole.is_empty() {
-            journal.append(&(head + "\n"))?;
+        for (i, line) in lines.iter().enumerate().skip(1) {
+            let row: Row =
+                serde_json::from_str(line).map_err(|e| journal.file.broken(i, e, "delete the file to measure anew"))?;
+            journal.rows.insert(row.key.clone(), row);
         }
         Ok(journal)
     }
 
-    fn append(&mut self, text: &str) -> Result<()> {
-        let written = self.file.write_all(text.as_bytes()).and_then(|()| self.file.flush());
-        written.map_err(|e| FileError::io(&self.path, "write", e).into())
-    }
-
     /// Adds rows that were measured together; a later row replaces one of the same key.
     pub fn add(&mut self, rows: impl IntoIterator<Item = Row>) -> Result<()> {
-        let mut text = String::new();
-        for row in rows {
-            text += &serde_json::to_string(&row).expect("plain values have a JSON form");
-            text.push('\n');
-            self.rows.insert(row.key.clone(), row);
-        }
-        self.append(&text)
+        let rows: Vec<Row> = rows.into_iter().collect();
+        self.file.append(&rows)?;
+        self.rows.extend(rows.into_iter().map(|row| (row.key.clone(), row)));
+        Ok(())
     }
 
     pub fn get(&self, key: &str) -> Option<&Row> {
@@ -78,6 +54,7 @@ impl Journal {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     fn row(key: &str, ms: f64) -> Row {
         Row { key: key.into(), total_ms: Some(ms), ..Row::default() }

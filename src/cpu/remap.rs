@@ -221,30 +221,31 @@ fn remap_rows(task: RowsTask<'_>) {
     let rows: Vec<_> = (first_row..first_row + (color.len() / w) as u32).map(|r| Row::new(setup, r, width)).collect();
     let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
     let mut index = [0u32; COLUMNS_A_BLOCK as usize];
-    for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
-        let to = (from + COLUMNS_A_BLOCK).min(width);
-        for (r, row) in rows.iter().enumerate() {
-            for s in stretches[r] {
-                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
-                if part.from >= part.to {
-                    continue;
-                }
-                let fan = &setup.fans[s.fan];
-                let n = fan.n_samples;
-                let own = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
-                let (colors, depths) = (&buffer.color[own.clone()], &buffer.depth[own]);
-                // First where to look, in vectors; then the looking.
-                row.gather(part, |x, place| {
-                    index[(x as u32 - from) as usize % COLUMNS_A_BLOCK as usize] = place.plane * n + place.sample;
-                });
-                let index = &index[(part.from - from) as usize..(part.to - from) as usize];
-                let out = r * w + part.from as usize..r * w + part.to as usize;
-                for ((c, z), &i) in color[out.clone()].iter_mut().zip(&mut depth[out]).zip(index) {
-                    (*c, *z) = (colors[i as usize], depths[i as usize]);
-                }
-            }
+    for (r, part) in parts(&stretches, width) {
+        let fan = &setup.fans[part.fan];
+        let n = fan.n_samples;
+        let own = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
+        let (colors, depths) = (&buffer.color[own.clone()], &buffer.depth[own]);
+        // First where to look, in vectors; then the looking.
+        rows[r].gather(part, |x, place| {
+            index[(x as u32 - part.from) as usize % COLUMNS_A_BLOCK as usize] = place.plane * n + place.sample;
+        });
+        let index = &index[..(part.to - part.from) as usize];
+        let out = r * w + part.from as usize..r * w + part.to as usize;
+        for ((c, z), &i) in color[out.clone()].iter_mut().zip(&mut depth[out]).zip(index) {
+            (*c, *z) = (colors[i as usize], depths[i as usize]);
         }
     }
+}
+
+/// The rows' stretches, block of columns by block, each as far as it lies in the block, with its row's number.
+fn parts(stretches: &[[Stretch; 3]], width: u32) -> impl Iterator<Item = (usize, Stretch)> + '_ {
+    (0..width).step_by(COLUMNS_A_BLOCK as usize).flat_map(move |from| {
+        let to = (from + COLUMNS_A_BLOCK).min(width);
+        let cut = move |s: Stretch| Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
+        let of_row = move |(r, stretches): (usize, &[Stretch; 3])| stretches.map(|s| (r, cut(s)));
+        stretches.iter().enumerate().flat_map(of_row).filter(|(_, part)| part.from < part.to)
+    })
 }
 
 /// The voxels' boxes as a pixel's ray meets them.
@@ -359,95 +360,96 @@ fn retest_rows(task: RetestTask<'_>) {
         voxel: [[0; BLOCK]; 4],
         near: [[0.0; BLOCK]; 2],
     };
-    for from in (0..width).step_by(BLOCK) {
-        let to = (from + COLUMNS_A_BLOCK).min(width);
-        for (r, row) in rows.iter().enumerate() {
-            let y = f64::from(row.row) + 0.5;
-            let start = camera.ray(&basis, 0.5, y);
-            let step = (camera.ray(&basis, f64::from(width) + 0.5, y) - start) / f64::from(width);
-            for s in stretches[r] {
-                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
-                if part.from >= part.to {
-                    continue;
-                }
-                let fan = &setup.fans[s.fan];
-                let (n, m) = (fan.n_samples, (part.to - part.from) as usize);
-                let drawn = &drawn[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
-                let samples = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
-                let shown = &buffer.voxel[samples.clone()];
-                let (colors, depths) = (&buffer.color[samples.clone()], &buffer.depth[samples]);
+    for (r, part) in parts(&stretches, width) {
+        let y = f64::from(rows[r].row) + 0.5;
+        let start = camera.ray(&basis, 0.5, y);
+        let step = (camera.ray(&basis, f64::from(width) + 0.5, y) - start) / f64::from(width);
+        let fan = &setup.fans[part.fan];
+        let (n, m) = (fan.n_samples, (part.to - part.from) as usize);
+        let drawn = &drawn[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
+        let samples = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
+        let shown = &buffer.voxel[samples.clone()];
+        let (colors, depths) = (&buffer.color[samples.clone()], &buffer.depth[samples]);
 
-                let [own, beside] = &mut block.at;
-                row.gather(part, |x, place| {
-                    let i = (x as u32 - part.from) as usize % BLOCK;
-                    own[i] = place.plane * n + place.sample;
-                    beside[i] = place.second * n + place.sample;
-                    block.second[i] = place.second;
-                });
-                if !whole[s.fan] {
-                    for ((beside, own), &second) in beside[..m].iter_mut().zip(&own[..m]).zip(&block.second[..m]) {
-                        let [first, end] = drawn[second as usize];
-                        if !(first..end).contains(&(*beside - second * n)) {
-                            *beside = *own;
-                        }
-                    }
-                }
-                let [dx, dy, dz] = &mut block.inverse;
-                for (i, ((dx, dy), dz)) in dx[..m].iter_mut().zip(&mut dy[..m]).zip(&mut dz[..m]).enumerate() {
-                    let x = f64::from((part.from as i32).wrapping_add(i as i32));
-                    // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
-                    let inverse = |start: f64, step: f64| {
-                        let d = (start + step * x) as f32;
-                        1.0 / (if d.abs() < 1e-30 { 1e-30 } else { d })
-                    };
-                    (*dx, *dy, *dz) = (inverse(start.x, step.x), inverse(start.y, step.y), inverse(start.z, step.z));
-                }
-                for (at, near) in block.at.iter().zip(&mut block.near) {
-                    let [x, y, z, l] = &mut block.voxel;
-                    let voxel = x[..m].iter_mut().zip(&mut y[..m]).zip(&mut z[..m]).zip(&mut l[..m]);
-                    for ((((x, y), z), l), &at) in voxel.zip(&at[..m]) {
-                        [*x, *y, *z, *l] = shown[at as usize];
-                    }
-                    let voxel = x[..m].iter().zip(&y[..m]).zip(&z[..m]).zip(&l[..m]);
-                    let [dx, dy, dz] = &block.inverse;
-                    let inverse = dx[..m].iter().zip(&dy[..m]).zip(&dz[..m]);
-                    for ((near, (((&x, &y), &z), &l)), ((&dx, &dy), &dz)) in
-                        near[..m].iter_mut().zip(voxel).zip(inverse)
-                    {
-                        *near = boxes.enter([x, y, z, l], [dx, dy, dz]);
-                    }
-                }
-                let ([own, beside], [near, near_beside]) = (&mut block.at, &mut block.near);
-                // The ray may meet the own plane's voxel inside the surface, behind a voxel that only the plane on its
-                // other side shows: the nearer of the two is what it sees.
-                for (((at, beside), z), near) in
-                    own[..m].iter_mut().zip(&beside[..m]).zip(&mut near[..m]).zip(&near_beside[..m])
-                {
-                    (*at, *z) = if *near < *z { (*beside, *near) } else { (*at, *z) };
-                }
-                for i in 0..m {
-                    if near[i] == MISS {
-                        let inverse = [0, 1, 2].map(|axis| block.inverse[axis][i]);
-                        let place = [own[i] / n, block.second[i], own[i] % n];
-                        (own[i], near[i]) = retest(fan, shown, drawn, &boxes, place, inverse);
-                        if near[i] == MISS {
-                            near[i] = depths[own[i] as usize];
-                        }
-                    }
-                }
-                let out = r * w + part.from as usize..r * w + part.to as usize;
-                depth[out.clone()].copy_from_slice(&near[..m]);
-                for (c, &at) in color[out.clone()].iter_mut().zip(&own[..m]) {
-                    *c = colors[at as usize];
-                }
-                if !voxel.is_empty() {
-                    for (v, &at) in voxel[out].iter_mut().zip(&own[..m]) {
-                        *v = shown[at as usize];
-                    }
+        let [own, beside] = &mut block.at;
+        rows[r].gather(part, |x, place| {
+            let i = (x as u32 - part.from) as usize % BLOCK;
+            own[i] = place.plane * n + place.sample;
+            beside[i] = place.second * n + place.sample;
+            block.second[i] = place.second;
+        });
+        if !whole[part.fan] {
+            for ((beside, own), &second) in beside[..m].iter_mut().zip(&own[..m]).zip(&block.second[..m]) {
+                let [first, end] = drawn[second as usize];
+                if !(first..end).contains(&(*beside - second * n)) {
+                    *beside = *own;
                 }
             }
         }
+        let [dx, dy, dz] = &mut block.inverse;
+        for (i, ((dx, dy), dz)) in dx[..m].iter_mut().zip(&mut dy[..m]).zip(&mut dz[..m]).enumerate() {
+            let x = f64::from((part.from as i32).wrapping_add(i as i32));
+            // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
+            let inverse = |start: f64, step: f64| {
+                let d = (start + step * x) as f32;
+                1.0 / (if d.abs() < 1e-30 { 1e-30 } else { d })
+            };
+            (*dx, *dy, *dz) = (inverse(start.x, step.x), inverse(start.y, step.y), inverse(start.z, step.z));
+        }
+        for (at, near) in block.at.iter().zip(&mut block.near) {
+            let [x, y, z, l] = &mut block.voxel;
+            let voxel = x[..m].iter_mut().zip(&mut y[..m]).zip(&mut z[..m]).zip(&mut l[..m]);
+            for ((((x, y), z), l), &at) in voxel.zip(&at[..m]) {
+                [*x, *y, *z, *l] = shown[at as usize];
+            }
+            let voxel = x[..m].iter().zip(&y[..m]).zip(&z[..m]).zip(&l[..m]);
+            let [dx, dy, dz] = &block.inverse;
+            let inverse = dx[..m].iter().zip(&dy[..m]).zip(&dz[..m]);
+            for ((near, (((&x, &y), &z), &l)), ((&dx, &dy), &dz)) in near[..m].iter_mut().zip(voxel).zip(inverse) {
+                *near = boxes.enter([x, y, z, l], [dx, dy, dz]);
+            }
+        }
+        let ([own, beside], [near, near_beside]) = (&mut block.at, &mut block.near);
+        // The ray may meet the own plane's voxel inside the surface, behind a voxel that only the plane on its
+        // other side shows: the nearer of the two is what it sees.
+        for (((at, beside), z), near) in
+            own[..m].iter_mut().zip(&beside[..m]).zip(&mut near[..m]).zip(&near_beside[..m])
+        {
+            (*at, *z) = if *near < *z { (*beside, *near) } else { (*at, *z) };
+        }
+        for i in 0..m {
+            if near[i] == MISS {
+                // Sky all around, as in most of a sky: what `retest` would find.
+                if own[i] != beside[i] && all_sky(shown, own[i]) && all_sky(shown, beside[i]) {
+                    continue;
+                }
+                let inverse = [0, 1, 2].map(|axis| block.inverse[axis][i]);
+                let place = [own[i] / n, block.second[i], own[i] % n];
+                (own[i], near[i]) = retest(fan, shown, drawn, &boxes, place, inverse);
+                if near[i] == MISS {
+                    near[i] = depths[own[i] as usize];
+                }
+            }
+        }
+        let out = r * w + part.from as usize..r * w + part.to as usize;
+        depth[out.clone()].copy_from_slice(&near[..m]);
+        for (c, &at) in color[out.clone()].iter_mut().zip(&own[..m]) {
+            *c = colors[at as usize];
+        }
+        if !voxel.is_empty() {
+            for (v, &at) in voxel[out].iter_mut().zip(&own[..m]) {
+                *v = shown[at as usize];
+            }
+        }
     }
+}
+
+/// Whether a sample and its two neighbours along the plane show the sky; false at the ends of `shown`.
+#[inline(always)]
+fn all_sky(shown: &[[i32; 4]], at: u32) -> bool {
+    let at = at as usize;
+    let around = shown.get(at.wrapping_sub(1)..at + 2);
+    around.is_some_and(|samples| samples.iter().all(|voxel| voxel[3] < 0))
 }
 
 /// The best sample around `sample` of `plane` and of the plane `second` on the pixel's other side, where the ray meets

@@ -268,8 +268,8 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters 
             walk.finish()
         }};
     }
-    // All variants there are. Others were measured and do not pay: terms of tilted cameras, the seam of repeated worlds and
-    // the change of levels are met once a block or a level, not once a column.
+    // All variants there are. Terms of tilted cameras, the seam of repeated worlds and the change of levels are met once a
+    // span, a block or a level, not once a column, and have none.
     match (task.voxel.is_empty(), task.culling == Culling::ALL, task.ground) {
         (true, true, false) => walk!(false, true, false),
         (true, true, true) => walk!(false, true, true),

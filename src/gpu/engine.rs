@@ -20,8 +20,41 @@ pub struct Engine {
     pub tick_ns: Option<f32>,
     trusted: bool,
     pipelines: HashMap<String, Rc<Pipeline>>,
-    /// The first error that the device reported outside any scope, or why it was lost.
-    failure: Arc<Mutex<Option<String>>>,
+    failure: Failure,
+}
+
+/// An open device.
+#[derive(Clone, Debug)]
+pub struct Device {
+    pub info: wgpu::AdapterInfo,
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    pub failure: Failure,
+}
+
+/// The first error that a device reported outside any scope, or why it was lost.
+#[derive(Clone, Debug, Default)]
+pub struct Failure(Arc<Mutex<Option<String>>>);
+
+impl Failure {
+    /// Hears what happens to a device from now on; without it wgpu ends the program at an error.
+    pub fn watch(device: &wgpu::Device) -> Failure {
+        let failure = Failure::default();
+        let seen = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
+            lock(&seen.0).get_or_insert(one_line(&e.to_string()));
+        }));
+        let seen = failure.clone();
+        device.set_device_lost_callback(move |_, text| {
+            // Why everything else fails.
+            lock(&seen.0).replace(format!("device lost: {}", one_line(&text)));
+        });
+        failure
+    }
+
+    pub fn text(&self) -> Option<String> {
+        lock(&self.0).clone()
+    }
 }
 
 /// A compiled shader and the buffers it binds.
@@ -34,23 +67,30 @@ impl Engine {
     /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`, `WGPU_BACKEND`), else the most powerful.
     pub fn new(trusted: bool) -> Result<Engine> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
-        let adapter = match std::env::var("WGPU_ADAPTER_NAME") {
-            Ok(name) => named_adapter(&instance, &name)?,
-            Err(_) => pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
-                power_preference: wgpu::PowerPreference::HighPerformance,
-                ..wgpu::RequestAdapterOptions::default()
-            }))
-            .map_err(|e| {
-                Error::Device(format!(
-                    "no usable GPU adapter ({e}): install a Vulkan, Metal or DX12 driver, or try --device cpu"
-                ))
-            })?,
-        };
+        let adapter = Engine::choose(&instance, None)?;
         let info = adapter.get_info();
         let opened = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)));
         let (device, queue) = opened
             .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
-        Ok(Engine::with_device(info, device, queue, trusted))
+        let failure = Failure::watch(&device);
+        Ok(Engine::with_device(Device { info, device, queue, failure }, trusted))
+    }
+
+    /// The adapter that the environment names, else the most powerful; one that can draw on `surface`.
+    pub fn choose(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<wgpu::Adapter> {
+        if let Ok(name) = std::env::var("WGPU_ADAPTER_NAME") {
+            return named_adapter(instance, &name);
+        }
+        let wanted = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            compatible_surface: surface,
+            ..wgpu::RequestAdapterOptions::default()
+        };
+        pollster::block_on(instance.request_adapter(&wanted)).map_err(|e| {
+            Error::Device(format!(
+                "no usable GPU adapter ({e}): install a Vulkan, Metal or DX12 driver, or try --device cpu"
+            ))
+        })
     }
 
     /// What a device is asked for: all that the adapter has, as scenes and pictures are checked against it, not against
@@ -66,17 +106,8 @@ impl Engine {
     }
 
     /// On a device that is open already.
-    pub fn with_device(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue, trusted: bool) -> Engine {
-        let failure = Arc::new(Mutex::new(None));
-        let seen = failure.clone();
-        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
-            lock(&seen).get_or_insert(one_line(&e.to_string()));
-        }));
-        let seen = failure.clone();
-        device.set_device_lost_callback(move |_, text| {
-            // Why everything else fails.
-            lock(&seen).replace(format!("device lost: {}", one_line(&text)));
-        });
+    pub fn with_device(device: Device, trusted: bool) -> Engine {
+        let Device { info, device, queue, failure } = device;
         let (features, limits) = (device.features(), device.limits());
         let tick_ns = features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
         let software = info.device_type == wgpu::DeviceType::Cpu;
@@ -97,7 +128,7 @@ impl Engine {
 
     /// An error if the device reported one since it was opened.
     pub fn check(&self) -> Result<()> {
-        match &*lock(&self.failure) {
+        match self.failure.text() {
             Some(text) => Err(Error::Device(format!("{}: {text}; try --device cpu", self.name))),
             None => Ok(()),
         }
@@ -115,6 +146,11 @@ impl Engine {
 
     /// Runs `make`, which asks for device memory; an error where the device has not got it.
     pub fn checked<T>(&self, what: &str, make: impl FnOnce() -> T) -> Result<T> {
+        // A page cannot wait for the answer: what fails there is heard by `Failure`.
+        if cfg!(target_arch = "wasm32") {
+            self.check()?;
+            return Ok(make());
+        }
         let invalid = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let made = make();

@@ -12,22 +12,22 @@ pub mod shaders;
 pub mod types;
 
 use crate::camera::Camera;
+use crate::clock::Instant;
 use crate::cpu::shade;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Remap, Shading};
+use crate::options::{Options, Shading};
 use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::resident::Resident;
-use crate::specialize::{Feature, Specialization};
+use crate::specialize::{Feature, Specialization, Twin};
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
 use resident::GpuResident;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
 use std::sync::mpsc;
-use std::time::Instant;
 use types::{FrameParams, Upload};
 
 /// How `traverse` is spread over the device. All draw the same picture but for float rounding.
@@ -395,7 +395,9 @@ impl<'a> GpuRenderer<'a> {
             Begin::Planes(buffer) => {
                 self.write("plane_color", bytemuck::cast_slice(&buffer.color));
                 self.write("plane_depth", bytemuck::cast_slice(&buffer.depth));
-                self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
+                if plan.plane_voxel {
+                    self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
+                }
                 self.remap(&mut encoder, &plan)?;
             }
             Begin::Image { color, depth } => {
@@ -470,7 +472,7 @@ impl Plan {
         gpu: &GpuOptions,
         engine: &Engine,
     ) -> Plan {
-        let retest = options.remap == Remap::Retest && !setup.is_pixel_columns(camera);
+        let retest = setup.retests(camera, options);
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
         let longest = setup.fans.iter().filter(|f| f.n_planes > 0).map(|f| f.n_samples).max().unwrap_or(0).max(1);
@@ -488,12 +490,12 @@ impl Plan {
             words: 0,
             plane_voxel: outputs.voxel || retest,
             image_voxel: outputs.voxel,
-            retest: retest && (!sparse || options.gap_fill),
+            retest,
             sparse,
             gap_fill: options.gap_fill,
             n_counters: 0,
             shading: options.shading,
-            specialization: Specialization::new(resident, setup, options),
+            specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
         match gpu.kernel {
             Kernel::Invocation => {
@@ -529,6 +531,12 @@ impl Plan {
     /// Keys of a plane's samples, in steps: few sizes make few pipelines.
     fn fine(&self) -> u32 {
         self.longest.next_multiple_of(64)
+    }
+
+    /// What the shaders' text depends on beside the stage.
+    fn defines(&self) -> Vec<&'static str> {
+        let defines = [(Feature::Heights, "HEIGHTS"), (Feature::Packed, "PACKED"), (Feature::LateColor, "LATE_COLOR")];
+        defines.into_iter().filter(|(f, _)| self.specialization.has(*f)).map(|(_, name)| name).collect()
     }
 
     /// Bytes of the lines that lead from pixels to planes.
@@ -578,9 +586,9 @@ impl GpuRenderer<'_> {
             ("planes", u64::from(plan.n_planes) * size_of::<types::Plane>() as u64, U::STORAGE),
             ("lines", plan.lines() + 16 * u64::from(plan.n_planes), U::STORAGE),
             ("spiral", 8 * 16 * u64::from(shade::SSAO_SAMPLES), U::STORAGE),
-            ("plane_color", 4 * planes, U::STORAGE),
+            ("plane_color", if plan.specialization.has(Feature::LateColor) { 0 } else { 4 * planes }, U::STORAGE),
             ("plane_depth", 4 * planes, U::STORAGE),
-            ("plane_voxel", 16 * plane_voxel, U::STORAGE),
+            ("plane_voxel", if plan.specialization.has(Feature::Packed) { 8 } else { 16 } * plane_voxel, U::STORAGE),
             ("image_color", 4 * pixels, U::STORAGE),
             ("image_depth", 4 * pixels, U::STORAGE),
             ("image_voxel", 16 * image_voxel, U::STORAGE),
@@ -691,10 +699,7 @@ impl GpuRenderer<'_> {
             ("ONE_LEVEL", on(plan.specialization.has(Feature::OneLevel))),
             ("UPRIGHT", on(plan.specialization.has(Feature::Upright))),
         ];
-        let mut defines = Vec::new();
-        if plan.specialization.has(Feature::Heights) {
-            defines.push("HEIGHTS");
-        }
+        let mut defines = plan.defines();
         let (name, groups) = match plan.kernel {
             Kernel::Invocation => {
                 constants.extend([
@@ -730,20 +735,25 @@ impl GpuRenderer<'_> {
 
     fn remap(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
-        let voxel = [("VOXEL", f64::from(u8::from(plan.image_voxel)))];
+        let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
         if plan.kernel == Kernel::Raycast {
             drop(self.pass(encoder, "remap", 1));
             return Ok(());
         }
         if !plan.gathers() {
-            let defines: &[_] = if plan.retest { &["RETEST"] } else { &[] };
-            let pipeline = self.engine.pipeline("remap", &self.variant(defines), &voxel)?;
+            let mut defines = plan.defines();
+            if plan.retest {
+                defines.push("RETEST");
+            }
+            let on = f64::from(u8::from(!plan.specialization.has(Feature::Bounded)));
+            let constants = [voxel, ("PAINT", f64::from(self.tables.paint)), ("REPEATS", on)];
+            let pipeline = self.engine.pipeline("remap", &self.variant(&defines), &constants)?;
             let mut pass = self.pass(encoder, "remap", 1);
             self.dispatch(&mut pass, &pipeline, &[], grid);
             return Ok(());
         }
-        let index = self.engine.pipeline("remap", &self.variant(&["INDEX"]), &voxel)?;
-        let gather = self.engine.pipeline("remap", &self.variant(&["GATHER"]), &voxel)?;
+        let index = self.engine.pipeline("remap", &self.variant(&["INDEX"]), &[voxel])?;
+        let gather = self.engine.pipeline("remap", &self.variant(&["GATHER"]), &[voxel])?;
         let fill = self.engine.pipeline("gap_fill", &self.variant(&[]), &[])?;
         let mut pass = self.pass(encoder, "remap", 1);
         self.dispatch(&mut pass, &index, &[], grid);

@@ -2,31 +2,53 @@
 
 use std::collections::VecDeque;
 use std::sync::mpsc::TryRecvError;
-use std::time::Instant;
 
 use planecast_encoder::Scene;
 
 use super::engine::Engine;
+pub use super::engine::{Device, Failure};
 use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts};
 use crate::camera::Camera;
+use crate::clock::Instant;
 use crate::error::{Error, Result};
 use crate::frame::Stats;
 use crate::options::Options;
 use crate::renderer::Outputs;
 use crate::resident::Resident;
 
-/// A device that someone else opened, to draw on and to show on.
-#[derive(Clone, Debug)]
-pub struct Device {
-    pub info: wgpu::AdapterInfo,
-    pub device: wgpu::Device,
-    pub queue: wgpu::Queue,
-}
-
 impl Device {
-    /// What to ask the adapter for, so that scenes and pictures fit as with [`GpuRenderer::new`].
+    /// A device that was asked for with [`Device::wishes`].
+    pub fn new(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue) -> Device {
+        let failure = Failure::watch(&device);
+        Device { info, device, queue, failure }
+    }
+
+    /// What to ask an adapter for, so that scenes and pictures fit as with [`GpuRenderer::new`].
     pub fn wishes(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'static> {
         Engine::wishes(adapter)
+    }
+
+    /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`), else the most powerful that can draw on the
+    /// surface.
+    pub fn open(instance: &wgpu::Instance, surface: &wgpu::Surface<'_>) -> Result<(wgpu::Adapter, Device)> {
+        let adapter = Engine::choose(instance, Some(surface))?;
+        let info = adapter.get_info();
+        if !adapter.is_surface_supported(surface) {
+            return Err(Error::Device(format!("{}: cannot draw in this window", info.name)));
+        }
+        let (device, queue) = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)))
+            .map_err(|e| Error::Device(format!("{}: cannot open the device ({e})", info.name)))?;
+        Ok((adapter, Device::new(info, device, queue)))
+    }
+
+    /// An error if the device reported one since it was opened.
+    pub fn check(&self) -> Result<()> {
+        self.failure.text().map_or(Ok(()), |text| Err(Error::Device(format!("{}: {text}", self.info.name))))
+    }
+
+    /// Whether the adapter is a processor that plays GPU.
+    pub fn is_software(&self) -> bool {
+        self.info.device_type == wgpu::DeviceType::Cpu
     }
 }
 
@@ -50,17 +72,14 @@ struct Waiting {
 const WAITING: usize = 3;
 
 impl<'a> GpuRenderer<'a> {
-    /// On a device that is open already; what happens to it (an error, its loss) is heard by the renderer made last.
+    /// On a device that is open already.
     pub fn on_device(
         scene: &'a Scene,
         resident: &'a Resident,
         options: GpuOptions,
         device: &Device,
     ) -> Result<GpuRenderer<'a>> {
-        let Device { info, device, queue } = device.clone();
-        GpuRenderer::with_engine(scene, resident, options, || {
-            Ok(Engine::with_device(info, device, queue, options.trusted))
-        })
+        GpuRenderer::with_engine(scene, resident, options, || Ok(Engine::with_device(device.clone(), options.trusted)))
     }
 
     /// Draws one frame and leaves the picture on the device: see [`GpuRenderer::picture`].

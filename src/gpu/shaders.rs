@@ -9,6 +9,7 @@ use crate::cpu::shade;
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
 use crate::resident::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
+use wgpu::naga;
 
 macro_rules! files {
     ($($name:literal),* $(,)?) => {
@@ -23,6 +24,7 @@ const FILES: &[(&str, &str)] = files![
     "shared/scene.wgsl",
     "shared/sight.wgsl",
     "shared/place.wgsl",
+    "shared/sample.wgsl",
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
@@ -164,9 +166,9 @@ pub fn bindings(source: &str) -> Result<Vec<(u32, String)>, String> {
     Ok(used.filter_map(|(_, variable)| Some((variable.binding.as_ref()?.binding, variable.name.clone()?))).collect())
 }
 
-fn parse(source: &str) -> Result<(wgpu::naga::Module, wgpu::naga::valid::ModuleInfo), String> {
-    use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
-    let module = wgpu::naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
+fn parse(source: &str) -> Result<(naga::Module, naga::valid::ModuleInfo), String> {
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+    let module = naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
     let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
         .validate(&module)
         .map_err(|e| e.emit_to_string(source))?;
@@ -186,7 +188,7 @@ mod tests {
         for pages in [one, many] {
             for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
                 for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS"]] {
-                    for remap in [&[][..], &["RETEST"], &["INDEX"], &["GATHER"]] {
+                    for remap in [&[][..], &["RETEST"], &["RETEST", "PACKED", "LATE_COLOR"], &["INDEX"], &["GATHER"]] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
                     }
                 }

@@ -1,13 +1,12 @@
 //! Finished measurements, one JSON object a line, so that a run that was stopped goes on where it was.
 
 use super::metrics::Errors;
+use crate::Result;
 use crate::frame::StageTimes;
-use planecast_encoder::{Error, Result};
+use crate::json_lines::JsonLines;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::fs::{File, OpenOptions};
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Name of the journal in a report's folder; a folder with it is a report's.
 pub const NAME: &str = "measurements.jsonl";
@@ -48,8 +47,7 @@ pub struct ErrorFigures {
 
 /// What was measured, in the file and in memory.
 pub struct Journal {
-    path: PathBuf,
-    file: File,
+    file: JsonLines,
     errors: HashMap<String, ErrorFigures>,
     times: HashMap<(String, u32), StageTimes>,
 }
@@ -57,38 +55,27 @@ pub struct Journal {
 impl Journal {
     /// Opens a folder's journal, or begins one. A last line that was not finished is dropped.
     pub fn open(folder: &Path) -> Result<Journal> {
-        let path = folder.join(NAME);
-        let text = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Vec::new(),
-            Err(e) => return Err(Error::io(&path, "read", e)),
-        };
-        let whole = text.iter().rposition(|&b| b == b'\n').map_or(0, |at| at + 1);
-        let (mut errors, mut times) = (HashMap::new(), HashMap::new());
-        for (i, line) in text[..whole].split(|&b| b == b'\n').filter(|l| !l.is_empty()).enumerate() {
-            let entry: Entry = serde_json::from_slice(line).map_err(|e| {
-                let what = format!("line {}: {e}; remove the line, or the folder to measure anew", i + 1);
-                Error::format(&path, what)
-            })?;
-            match entry.figures {
-                Figures::Error(e) => _ = errors.insert(entry.key, e),
-                Figures::Time { round, stages } => _ = times.insert((entry.key, round), stages),
-            }
+        let (file, lines) = JsonLines::open(&folder.join(NAME))?;
+        let mut journal = Journal { file, errors: HashMap::new(), times: HashMap::new() };
+        for (i, line) in lines.iter().enumerate().filter(|(_, line)| !line.is_empty()) {
+            let entry = serde_json::from_str(line)
+                .map_err(|e| journal.file.broken(i, e, "remove the line, or the folder to measure anew"))?;
+            journal.keep(entry);
         }
-        let file =
-            OpenOptions::new().create(true).append(true).open(&path).map_err(|e| Error::io(&path, "write", e))?;
-        file.set_len(whole as u64).map_err(|e| Error::io(&path, "write", e))?;
-        Ok(Journal { path, file, errors, times })
+        Ok(journal)
     }
 
     pub fn add(&mut self, entry: Entry) -> Result<()> {
-        let line = serde_json::to_string(&entry).expect("figures have a JSON form") + "\n";
-        self.file.write_all(line.as_bytes()).map_err(|e| Error::io(&self.path, "write", e))?;
+        self.file.append([&entry])?;
+        self.keep(entry);
+        Ok(())
+    }
+
+    fn keep(&mut self, entry: Entry) {
         match entry.figures {
             Figures::Error(e) => _ = self.errors.insert(entry.key, e),
             Figures::Time { round, stages } => _ = self.times.insert((entry.key, round), stages),
         }
-        Ok(())
     }
 
     pub fn error(&self, key: &str) -> Option<ErrorFigures> {

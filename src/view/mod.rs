@@ -9,15 +9,81 @@
 //! | [`last`] | the last view of each scene |
 //! | [`map`] | a frame and the exact one → a picture of the errors |
 //! | [`script`] | what tests and demonstrations do in the window |
-//! | `window` | the window itself, its panel and its device (feature `view`) |
+//! | [`drawer`] | whatever draws a scene: the GPU, the CPU, or the exact reference |
+//! | `window`, `panel`, `canvas` | the window, what egui draws in it, the surface below (feature `view`) |
 //!
 //! There is no second renderer: frames are those of [`crate::GpuRenderer`], left on the device and shown by one pass
 //! ([`crate::gpu::present`]), or those of [`crate::CpuRenderer`].
 
+#[cfg(feature = "view")]
+mod canvas;
 pub mod control;
+#[cfg(feature = "gpu")]
+pub mod drawer;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod last;
 pub mod map;
 pub mod pace;
+#[cfg(feature = "view")]
+mod panel;
 pub mod record;
 pub mod script;
+#[cfg(feature = "view")]
+mod window;
 pub mod world;
+
+#[cfg(not(target_arch = "wasm32"))]
+use std::path::PathBuf;
+
+#[cfg(not(target_arch = "wasm32"))]
+use crate::Result;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::device::Device;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::options::Options;
+
+#[cfg(not(target_arch = "wasm32"))]
+/// What `planecast view` is told.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
+    pub input: Option<PathBuf>,
+    pub how: world::How,
+    /// Where to begin; without an eye, where the scene was left, or a good view.
+    pub eye: Option<glam::DVec3>,
+    pub yaw: Option<f64>,
+    pub pitch: Option<f64>,
+    pub roll: Option<f64>,
+    pub fov: f64,
+    pub device: Device,
+    pub kernel: Option<String>,
+    pub options: Options,
+    /// The window, pixels.
+    pub size: [u32; 2],
+    pub full_screen: bool,
+    /// Frames a second to hold.
+    pub target_fps: Option<f64>,
+    /// Pixels of screenshots; `None` for those of the window.
+    pub screenshot_size: Option<[u32; 2]>,
+    pub script: Option<PathBuf>,
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+/// Opens a window on a scene and stays until it is closed.
+pub fn view(settings: Settings) -> Result<()> {
+    #[cfg(feature = "view")]
+    return window::run(settings);
+    #[cfg(not(feature = "view"))]
+    {
+        let _ = settings;
+        Err(crate::Error::Device(
+            "this planecast was built without its window; build it with: cargo build --release --features view".into(),
+        ))
+    }
+}
+
+/// Flags that reproduce a view with `render`, `--eye` to `--fov`, as exact as they can be typed.
+pub fn pose_flags(pose: &crate::path::Pose) -> String {
+    let crate::path::Pose { eye, yaw, pitch, roll, fov } = pose;
+    format!("--eye {},{},{} --yaw {yaw} --pitch {pitch} --roll {roll} --fov {fov}", eye.x, eye.y, eye.z)
+}

@@ -57,10 +57,9 @@ pub enum Action {
     Quit {},
 }
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 struct Timed {
     t: f64,
-    #[serde(flatten)]
     action: Action,
 }
 
@@ -84,10 +83,13 @@ impl Script {
         let mut actions: Vec<Timed> = Vec::new();
         for (i, value) in list.into_iter().enumerate() {
             let n = i + 1;
-            if value.as_object().is_none_or(|o| o.len() != 2) {
-                return Err(format!("action {n}: expected t and one thing to do"));
-            }
-            let action: Timed = serde_json::from_value(value).map_err(|e| format!("action {n}: {e}"))?;
+            let parts = value.as_object().filter(|o| o.len() == 2).and_then(|o| Some((o.get("t")?.as_f64()?, o)));
+            let Some((t, object)) = parts else {
+                return Err(format!("action {n}: expected t, in seconds, and one thing to do"));
+            };
+            let what = object.iter().filter(|(key, _)| *key != "t").map(|(key, v)| (key.clone(), v.clone())).collect();
+            let action = serde_json::from_value(serde_json::Value::Object(what));
+            let action = Timed { t, action: action.map_err(|e| format!("action {n}: {e}"))? };
             if !(action.t >= actions.last().map_or(0.0, |a| a.t) && action.t <= 1e5) {
                 return Err(format!("action {n}, t: {} is not in order, or not within 0 to 100000 s", action.t));
             }
@@ -143,9 +145,9 @@ mod tests {
     fn script_errors_name_the_action() {
         for (text, error) in [
             ("{}", "is not a list of actions"),
-            ("[3]", "action 1: expected t and one thing to do"),
-            (r#"[{"t":0}]"#, "action 1: expected t and one thing to do"),
-            (r#"[{"t":0,"fly":1}]"#, "action 1: "),
+            ("[3]", "action 1: expected t, in seconds, and one thing to do"),
+            (r#"[{"t":0}]"#, "action 1: expected t, in seconds, and one thing to do"),
+            (r#"[{"t":0,"fly":1}]"#, "action 1: unknown variant `fly`, expected one of `press`, `release`"),
             (r#"[{"t":0,"wheel":"x"}]"#, "action 1: "),
             (r#"[{"t":0,"wheel":1},{"t":-1,"wheel":1}]"#, "action 2, t: -1 is not in order"),
         ] {

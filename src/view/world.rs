@@ -1,19 +1,21 @@
 //! A scene as it is flown through, from a scene file or from whatever `encode` reads.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use planecast_encoder::info::{self, ByteCounts};
+use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{PcastFile, Scene};
 
+use crate::Result;
 use crate::resident::Resident;
-use crate::{Error, Result};
+use crate::specialize::Features;
 
 #[cfg(not(target_arch = "wasm32"))]
 use {
+    crate::Error,
     planecast_encoder::encode::{self, EncodeOptions, Watch},
-    planecast_encoder::source::{self, ReadOptions},
     std::io::Read,
+    std::sync::Arc,
 };
 
 /// A scene, ready to be drawn and walked on.
@@ -30,13 +32,30 @@ pub struct World {
     pub bytes: ByteCounts,
 }
 
+/// How a file is opened.
+#[derive(Clone, Debug)]
+pub struct How {
+    /// Of an input that has to be encoded.
+    pub read: ReadOptions,
+    /// Broken tiles of a scene file are empty.
+    pub skip_broken: bool,
+    /// What may be left out of the tables that are drawn from.
+    pub specialize: Features,
+}
+
+impl Default for How {
+    fn default() -> How {
+        How { read: ReadOptions::default(), skip_broken: false, specialize: Features::ALL }
+    }
+}
+
 /// The first bytes of a scene file.
 fn is_scene(head: &[u8]) -> bool {
     head.starts_with(&planecast_encoder::format::MAGIC)
 }
 
 impl World {
-    fn of_file(file: &PcastFile, path: &Path, encoded: bool, skip_broken: bool) -> Result<World> {
+    fn of_file(file: &PcastFile, path: &Path, encoded: bool, skip_broken: bool, specialize: Features) -> Result<World> {
         let info = info::info(file);
         let (scene, info) = if skip_broken {
             let (scene, _) = file.read_scene_without_broken()?;
@@ -44,17 +63,17 @@ impl World {
         } else {
             (file.read_scene()?, Some(info?))
         };
-        let resident = Resident::new(&scene);
+        let resident = Resident::with(&scene, specialize);
         let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
         Ok(World { path: path.to_owned(), encoded, scene, resident, content_hash, bytes })
     }
 
     /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
     pub fn from_bytes(name: &Path, bytes: Vec<u8>) -> Result<World> {
-        if is_scene(&bytes) {
-            return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false);
+        if is_scene(&bytes) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
+            return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false, Features::ALL);
         }
-        let input = planecast_encoder::source::read(name, &bytes, &Default::default())?;
+        let input = source::read(name, &bytes, &Default::default())?;
         World::of_input(name, input)
     }
 
@@ -69,22 +88,23 @@ impl World {
     /// Opens a scene file, or encodes an input as `encode` would, into a passing file. `watch` tells how far that is, and
     /// stops it.
     #[cfg(not(target_arch = "wasm32"))]
-    pub fn open(path: &Path, read: &ReadOptions, skip_broken: bool, watch: &Watch) -> Result<World> {
+    pub fn open(path: &Path, how: &How, watch: &Watch) -> Result<World> {
         let failed = |e| Error::Scene(planecast_encoder::Error::io(path, "read", e));
         let procedural = path.to_str().is_some_and(|p| p.starts_with("procedural:"));
         if !procedural && path.is_file() {
             let mut head = Vec::new();
             let file = std::fs::File::open(path).map_err(failed)?;
             file.take(16).read_to_end(&mut head).map_err(failed)?;
-            if is_scene(&head) {
-                return World::of_file(&PcastFile::open(path)?, path, false, skip_broken);
+            // What calls itself a scene is told what is wrong with it as one.
+            if is_scene(&head) || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
+                return World::of_file(&PcastFile::open(path)?, path, false, how.skip_broken, how.specialize);
             }
         }
-        let pieces = source::open_pieces(path, read)?;
+        let pieces = source::open_pieces(path, &how.read)?;
         let folder = tempfile::tempdir().map_err(failed)?;
         let scene = folder.path().join("scene.pcast");
         encode::encode(&*pieces, &EncodeOptions::default(), &scene, watch)?;
-        World::of_file(&PcastFile::open(&scene)?, path, true, false)
+        World::of_file(&PcastFile::open(&scene)?, path, true, false, how.specialize)
     }
 
     /// What a window calls it.
@@ -108,13 +128,13 @@ pub struct Opening {
 
 #[cfg(not(target_arch = "wasm32"))]
 impl Opening {
-    pub fn begin(path: &Path, read: &ReadOptions, skip_broken: bool) -> Opening {
+    pub fn begin(path: &Path, how: &How) -> Opening {
         let watch = Arc::new(Watch::default());
         let (send, answer) = std::sync::mpsc::channel();
-        let (owned, read, watching) = (path.to_owned(), read.clone(), watch.clone());
+        let (owned, how, watching) = (path.to_owned(), how.clone(), watch.clone());
         std::thread::spawn(move || {
             // Nobody may wait any more.
-            let _ = send.send(World::open(&owned, &read, skip_broken, &watching));
+            let _ = send.send(World::open(&owned, &how, &watching));
         });
         Opening { path: path.to_owned(), watch, answer }
     }
@@ -149,18 +169,17 @@ impl Drop for Opening {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planecast_encoder::source::ReadOptions;
 
     #[test]
     fn world_of_an_input_is_that_of_its_scene_file() {
         let dir = tempfile::tempdir().unwrap();
         let name = Path::new("procedural:rocks?size=64&seed=3");
-        let direct = World::open(name, &ReadOptions::default(), false, &Watch::default()).unwrap();
+        let direct = World::open(name, &How::default(), &Watch::default()).unwrap();
         assert!(direct.encoded && !direct.content_hash.is_empty());
         let file = dir.path().join("rocks.pcast");
         let pieces = source::open_pieces(name, &ReadOptions::default()).unwrap();
         encode::encode(&*pieces, &EncodeOptions::default(), &file, &Watch::default()).unwrap();
-        let opening = Opening::begin(&file, &ReadOptions::default(), false);
+        let opening = Opening::begin(&file, &How::default());
         let read = loop {
             match opening.poll() {
                 Some(world) => break world.unwrap(),
@@ -174,9 +193,11 @@ mod tests {
 
     #[test]
     fn world_that_cannot_be_opened_says_why() {
-        let open = |name: &str| World::open(Path::new(name), &ReadOptions::default(), false, &Watch::default());
+        let open = |name: &str| World::open(Path::new(name), &How::default(), &Watch::default());
         assert!(open("/no/such/file").err().unwrap().to_string().contains("/no/such/file"));
         assert!(open("procedural:nothing").is_err());
+        let other = World::from_bytes(Path::new("b.pcast"), b"garbage".to_vec());
+        assert!(other.err().unwrap().to_string().starts_with("b.pcast"));
         let broken = World::from_bytes(Path::new("b.pcast"), planecast_encoder::format::MAGIC.to_vec());
         assert!(broken.err().unwrap().to_string().contains("b.pcast"));
     }

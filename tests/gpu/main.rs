@@ -13,8 +13,8 @@ use planecast::device::{Device, Renderer};
 use planecast::gpu::Begin;
 use planecast::plane_setup::plane_setup;
 use planecast::{
-    Camera, CpuRenderer, Culling, Frame, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap, Repeat,
-    Resident, Shading,
+    Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap,
+    Repeat, Resident, Shading,
 };
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
@@ -260,7 +260,8 @@ fn traverse_leaves_the_same_planes_as_the_cpu() {
         return;
     }
     let world = rocks();
-    let options = flat();
+    // Whole samples, as the CPU has them.
+    let options = Options { specialize: Features::NONE, ..flat() };
     for kernel in [Kernel::Workgroup, Kernel::Invocation] {
         let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
         for camera in poses(&world) {
@@ -307,6 +308,7 @@ fn remap_of_the_same_planes_takes_the_same_samples() {
         ("gap fill", Options { remap: Remap::Nearest, planes: Planes::Factor(0.3), ..flat() }),
         ("readjusted", Options { remap: Remap::Nearest, readjust: true, ..flat() }),
     ] {
+        let options = Options { specialize: Features::NONE, ..options };
         for camera in poses(&world) {
             let setup = plane_setup(&world.resident, &camera, &options);
             let mut planes = PlaneBuffer::default();

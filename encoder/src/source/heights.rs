@@ -1,10 +1,8 @@
 //! Heights of a map, kept in a file without a name, so that no map need fit into memory.
 
-use std::fs::File;
-
 use rayon::prelude::*;
 
-use super::{read_at, write_at};
+use crate::scratch::{self as file, File, read_at, write_at};
 use crate::{Error, Result};
 
 /// A grid of heights, NaN where there is no data.
@@ -26,7 +24,7 @@ fn scratch(action: &'static str) -> impl Fn(std::io::Error) -> Error {
 impl Heights {
     /// A grid without data.
     pub fn new(width: u32, height: u32) -> Result<Heights> {
-        let file = tempfile::tempfile().map_err(scratch("create a file in"))?;
+        let file = file::file().map_err(scratch("create a file in"))?;
         Ok(Heights { width, height, file, low: f64::INFINITY, high: f64::NEG_INFINITY, known: 0 })
     }
 

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
+//! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
 //! | `mesh`, `ply` | PLY, OBJ, STL, glTF | as stored, or z-up by `--up z` |
@@ -25,8 +26,8 @@ mod stack;
 mod volume;
 mod vox;
 mod vxl;
-
-pub(crate) use volume::{read_at, write_at};
+#[cfg(feature = "zarr")]
+mod zarr;
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -108,7 +109,7 @@ pub enum Format {
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -187,8 +188,12 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     }
 }
 
-/// A folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by name.
+/// A Zarr array; or a folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by
+/// name.
 fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
+    if ["zarr.json", ".zarray", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
+        return zarr_folder(path, opts);
+    }
     let failed = |e| Error::io(path, "read", e);
     let mut files = Vec::new();
     for entry in fs::read_dir(path).map_err(failed)? {
@@ -209,13 +214,23 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     let Some(first) = files.first() else {
         return Err(Error::format(
             path,
-            "a folder without .tif files; expected the slices of a volume or tiles of a map",
+            "a folder without .tif files and no Zarr; expected the slices of a volume or tiles of a map",
         ));
     };
     if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
         return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));
     }
     Ok(Box::new(stack::read(path, &files, opts)?))
+}
+
+#[cfg(feature = "zarr")]
+fn zarr_folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
+    Ok(Box::new(zarr::read(path, opts)?))
+}
+
+#[cfg(not(feature = "zarr"))]
+fn zarr_folder(path: &Path, _: &ReadOptions) -> Result<Box<dyn Pieces>> {
+    without(path, "Zarr", "zarr")
 }
 
 /// What a reader finds.
@@ -322,7 +337,7 @@ fn boxed<'a>(pieces: Result<impl Pieces + 'static>) -> Result<World<'a>> {
 }
 
 #[allow(dead_code, reason = "all features may be there")]
-fn without<'a>(path: &Path, what: &str, feature: &str) -> Result<World<'a>> {
+fn without<T>(path: &Path, what: &str, feature: &str) -> Result<T> {
     let path = path.display();
     Err(Error::Argument(format!("{path}: this planecast reads no {what}; build it with --features {feature}")))
 }

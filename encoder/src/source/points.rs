@@ -3,7 +3,6 @@
 //! Points go to a file without a name as they are read, in lists by rows of tiles, so that the cloud need not fit into
 //! memory.
 
-use std::fs::File;
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
@@ -12,9 +11,10 @@ use bytemuck::{Pod, Zeroable};
 
 use super::mesh::{self, Mesh};
 use super::spots::{self, Spot};
-use super::{ReadOptions, Up, read_at, world_dims};
+use super::{ReadOptions, Up, world_dims};
 use crate::format::TILE;
 use crate::pieces::Pieces;
+use crate::scratch::{self as file, File, read_at};
 use crate::{Error, Input, Result};
 
 /// Points of a list that are written together.
@@ -62,7 +62,7 @@ impl Points {
     ) -> Result<Points> {
         let sides = [0, 1, 2].map(|a| (((high[a] - low[a]) * scale) as u64).saturating_add(1));
         let dims = world_dims(path, sides, "give a larger --voxel")?;
-        let mut file = tempfile::tempfile().map_err(scratch("create a file in"))?;
+        let mut file = file::file().map_err(scratch("create a file in"))?;
         let n_lists = dims[2].div_ceil(TILE) as usize;
         let mut lists = vec![Vec::new(); n_lists];
         let mut waiting: Vec<Vec<Record>> = vec![Vec::new(); n_lists];

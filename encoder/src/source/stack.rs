@@ -1,7 +1,6 @@
 //! Stacks of TIFF images as volumes: the pages of one file, or the files of a folder, the first being z = 0. Pages go to
 //! a file without a name, one after the other, so that the stack need not fit into memory.
 
-use std::fs::File;
 use std::io::{BufWriter, Cursor, Write};
 use std::path::{Path, PathBuf};
 
@@ -10,12 +9,13 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use super::heightmap::plausible;
 use super::volume::Volume;
 use super::{Dtype, ReadOptions, guarded, map};
+use crate::scratch::{self as file, File};
 use crate::{Error, Result};
 
 /// All pages of these files, which must be equal in size and type.
 pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result<Volume<'static>> {
     let scratch = |action| move |e| Error::io(std::env::temp_dir(), action, e);
-    let file = tempfile::tempfile().map_err(scratch("create a file in"))?;
+    let file = file::file().map_err(scratch("create a file in"))?;
     let mut out = BufWriter::with_capacity(1 << 20, file);
     let mut first: Option<([u32; 2], Dtype)> = None;
     let mut n = 0u64;

@@ -1214,3 +1214,82 @@ fn nifti_pairs_are_read_from_both_files() {
     fs::write(dir.path().join("a.img"), &whole[352..]).unwrap();
     assert_volume(&open(&dir.path().join("a.hdr"), &opts("--iso 20")).unwrap(), Up::Y, |x, y, z| value(x, y, z) >= 20);
 }
+
+#[cfg(feature = "zarr")]
+mod zarr_arrays {
+    use super::*;
+    use std::fs;
+    use std::sync::Arc;
+    use zarrs::array::{ArrayBuilder, data_type};
+    use zarrs::filesystem::FilesystemStore;
+
+    const N: u64 = 10;
+
+    fn value(x: u64, y: u64, z: u64) -> u16 {
+        (x * 100 + y * 10 + z) as u16
+    }
+
+    /// An array of shape (2, z, y, x) in chunks that do not divide it.
+    fn write(folder: &Path) {
+        let store = Arc::new(FilesystemStore::new(folder).unwrap());
+        let array = ArrayBuilder::new(vec![2, N, N, N], vec![1, 4, 3, 6], data_type::uint16(), 0u16)
+            .bytes_to_bytes_codecs(vec![Arc::new(zarrs::array::codec::GzipCodec::new(5).unwrap())])
+            .build(store, "/")
+            .unwrap();
+        array.store_metadata().unwrap();
+        let of = |i: u64| value(i % N, i / N % N, i / N / N);
+        let values: Vec<u16> = (0..N * N * N).map(of).collect();
+        array.store_array_subset(&[0..1, 0..N, 0..N, 0..N], &values).unwrap();
+    }
+
+    #[test]
+    fn zarr_arrays_are_volumes_of_their_last_axes() {
+        let dir = tempfile::tempdir().unwrap();
+        write(dir.path());
+        let input = open(dir.path(), &opts("--iso 555")).unwrap();
+        assert_eq!(input.columns.dims(), [10, 10, 10]);
+        for (x, y, z) in (0..N).flat_map(|x| (0..N).flat_map(move |y| (0..N).map(move |z| (x, y, z)))) {
+            assert_eq!(input.columns.solid(x as i64, y as i64, z as i64), value(x, y, z) >= 555, "{x} {y} {z}");
+        }
+        assert!(input.notes.iter().any(|note| note.contains("[2]")), "{:?}", input.notes);
+    }
+
+    #[test]
+    fn ome_zarr_images_are_their_finest_resolution() {
+        let dir = tempfile::tempdir().unwrap();
+        write(&dir.path().join("s0"));
+        let image = |path: &str| {
+            let text = format!(
+                r#"{{"zarr_format": 3, "node_type": "group", "attributes": {{"ome": {{"version": "0.5",
+                   "multiscales": [{{"datasets": [{{"path": {path:?}}}, {{"path": "s1"}}]}}]}}}}}}"#
+            );
+            fs::write(dir.path().join("zarr.json"), text).unwrap();
+            open(dir.path(), &opts("--iso 555"))
+        };
+        assert_eq!(image("s0").unwrap().columns, open(&dir.path().join("s0"), &opts("--iso 555")).unwrap().columns);
+        let refused = |path: &str| image(path).err().unwrap().to_string();
+        assert!(refused("../s0").contains("expected a folder in it"));
+        assert!(refused("s9").contains("neither zarr.json"));
+    }
+
+    #[test]
+    fn zarr_metadata_that_claims_too_much_is_refused_before_anything_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        write(dir.path());
+        let path = dir.path().join("zarr.json");
+        let text = fs::read_to_string(&path).unwrap();
+        let refused = |from: &str, to: &str| {
+            let mut json: serde_json::Value = serde_json::from_str(&text).unwrap();
+            *json.pointer_mut(from).unwrap() = serde_json::from_str(to).unwrap();
+            fs::write(&path, json.to_string()).unwrap();
+            open(dir.path(), &opts("--iso 1")).err().expect("refused").to_string()
+        };
+        assert!(refused("/shape", "[2, 1000000, 1000000, 1000000]").contains("voxels high"));
+        assert!(
+            refused("/chunk_grid/configuration/chunk_shape", "[1, 4000000, 4000000, 4000000]").contains("unpacked")
+        );
+        assert!(refused("/shape", "[1000, 1000]").contains("Zarr"));
+        assert!(refused("/data_type", "\"complex64\"").contains("Zarr"));
+        assert!(refused("/shape", "\"wide\"").contains("Zarr"));
+    }
+}

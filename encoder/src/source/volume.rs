@@ -9,7 +9,6 @@
 //! | third (`--up z`) | the piece's rows of a slice | slice by slice, in slabs that are joined |
 //! | first (`--up x`) | the piece's rows of a slice | each from one row |
 
-use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -20,6 +19,7 @@ use rayon::prelude::*;
 use super::heights::Heights;
 use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
 use crate::pieces::Pieces;
+use crate::scratch::{self, File, read_at};
 use crate::{Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
 
 /// Bytes of a NIfTI-1 header.
@@ -82,24 +82,6 @@ impl Data<'_> {
             }
             Data::File { path, file, at, len } => Ok(Data::File { path, file, at, len }),
         }
-    }
-}
-
-/// Fills `buffer` with the bytes of `file` from `at` on.
-pub(crate) fn read_at(file: &File, buffer: &mut [u8], at: u64) -> std::io::Result<()> {
-    #[cfg(unix)]
-    return std::os::unix::fs::FileExt::read_exact_at(file, buffer, at);
-    #[cfg(windows)]
-    {
-        let (mut buffer, mut at) = (buffer, at);
-        while !buffer.is_empty() {
-            let n = std::os::windows::fs::FileExt::seek_read(file, buffer, at)?;
-            if n == 0 {
-                return Err(std::io::ErrorKind::UnexpectedEof.into());
-            }
-            (buffer, at) = (&mut buffer[n..], at + n as u64);
-        }
-        Ok(())
     }
 }
 
@@ -515,7 +497,7 @@ fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
 /// Bytes `start..end` of a gzip stream, unpacked into a file without a name; an inner error is the number of bytes that
 /// there are, too few. The stream's end and checksum are looked at where it holds no more than these.
 fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
-    let mut file = tempfile::tempfile().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
+    let mut file = scratch::file().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
     let mut stream = MultiGzDecoder::new(bytes).take(end.saturating_add(1));
     let mut buffer = vec![0; 1 << 20];
     let mut n = 0u64;
@@ -591,21 +573,6 @@ macro_rules! float_samples {
     )* };
 }
 float_samples!(f32, f64);
-
-/// Writes all of `bytes` to `file` from `at` on.
-pub(crate) fn write_at(file: &File, bytes: &[u8], at: u64) -> std::io::Result<()> {
-    #[cfg(unix)]
-    return std::os::unix::fs::FileExt::write_all_at(file, bytes, at);
-    #[cfg(windows)]
-    {
-        let (mut bytes, mut at) = (bytes, at);
-        while !bytes.is_empty() {
-            let n = std::os::windows::fs::FileExt::seek_write(file, bytes, at)?;
-            (bytes, at) = (&bytes[n..], at + n as u64);
-        }
-        Ok(())
-    }
-}
 
 /// Turns a row of stored values into bits, 1 where solid: bit `i % 64` of word `i / 64`.
 type Masks = Box<dyn Fn(&[u8], &mut [u64]) + Send + Sync>;

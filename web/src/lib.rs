@@ -1,0 +1,313 @@
+//! The page's half of planecast: what JavaScript calls. Scene, controls and kernels are those of the window.
+//!
+//! JavaScript has the events, the files and the words; this has the scene and the camera. Nothing here waits: frames are
+//! sent to the GPU and shown, figures arrive later. Without WebGPU the CPU draws, one thread, and JavaScript shows the
+//! pixels.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+
+use glam::DVec3;
+use planecast::frame::Stats;
+use planecast::gpu::present::{Device, Presenter};
+use planecast::path::Pose;
+use planecast::tour::{self, View};
+use planecast::view::control::{Control, Ground, Mode};
+use planecast::view::drawer::{Drawer, Drawn, Draws};
+use planecast::view::world::World;
+use planecast::{CpuRenderer, Kernel, Options, Outputs, exact};
+use serde_json::json;
+use wasm_bindgen::prelude::*;
+use web_sys::HtmlCanvasElement;
+
+/// Vertical field of view, degrees.
+const FOV: f64 = 60.0;
+
+/// Pixels a side at most: what every WebGPU device can show.
+const SIDE: u32 = 8192;
+
+fn failed(error: impl std::fmt::Display) -> JsValue {
+    JsValue::from_str(&error.to_string())
+}
+
+#[wasm_bindgen(start)]
+fn start() {
+    console_error_panic_hook::set_once();
+}
+
+/// A canvas that WebGPU shows pictures on.
+struct Shows {
+    surface: wgpu::Surface<'static>,
+    config: wgpu::SurfaceConfiguration,
+    device: Device,
+    presenter: Presenter,
+}
+
+/// A page that a scene is flown through on.
+#[wasm_bindgen]
+pub struct Page {
+    shows: Option<Shows>,
+    drawer: Option<Drawer>,
+    control: Control,
+    options: Options,
+    size: [u32; 2],
+    drawn: Option<(Pose, [u32; 2], Options)>,
+    /// The CPU's picture, RGBA.
+    pixels: Vec<u8>,
+    stats: Stats,
+    /// The picture that is read back for [`Page::picture`].
+    reading: Option<Reading>,
+}
+
+struct Reading {
+    buffer: wgpu::Buffer,
+    mapped: Receiver<Result<(), wgpu::BufferAsyncError>>,
+}
+
+async fn shows(canvas: HtmlCanvasElement, [width, height]: [u32; 2]) -> Result<Shows, String> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let surface = instance.create_surface(wgpu::SurfaceTarget::Canvas(canvas)).map_err(|e| e.to_string())?;
+    let wanted = wgpu::RequestAdapterOptions {
+        power_preference: wgpu::PowerPreference::HighPerformance,
+        compatible_surface: Some(&surface),
+        ..wgpu::RequestAdapterOptions::default()
+    };
+    let adapter = instance.request_adapter(&wanted).await.map_err(|e| e.to_string())?;
+    let (device, queue) = adapter.request_device(&Device::wishes(&adapter)).await.map_err(|e| e.to_string())?;
+    let mut config = surface.get_default_config(&adapter, width, height).ok_or("the canvas cannot be drawn on")?;
+    let formats = surface.get_capabilities(&adapter).formats;
+    config.format = formats.into_iter().find(|f| !f.is_srgb()).unwrap_or(config.format);
+    surface.configure(&device, &config);
+    let device = Device::new(adapter.get_info(), device, queue);
+    let presenter = Presenter::new(&device, config.format);
+    Ok(Shows { surface, config, device, presenter })
+}
+
+#[wasm_bindgen]
+impl Page {
+    /// On a canvas, with WebGPU if `gpu` says so; an error says why there is none.
+    pub async fn open(canvas: HtmlCanvasElement, gpu: bool) -> Result<Page, JsValue> {
+        let size = [canvas.width(), canvas.height()].map(|n| n.clamp(1, SIDE));
+        let shows = if gpu { Some(shows(canvas, size).await.map_err(failed)?) } else { None };
+        let pose = Pose { eye: DVec3::ZERO, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: FOV };
+        Ok(Page {
+            shows,
+            drawer: None,
+            control: Control::new(pose, [1; 3]),
+            options: Options::default(),
+            size,
+            drawn: None,
+            pixels: Vec::new(),
+            stats: Stats::default(),
+            reading: None,
+        })
+    }
+
+    /// The adapter that draws; nothing where the CPU does.
+    pub fn adapter(&self) -> Option<String> {
+        let info = &self.shows.as_ref()?.device.info;
+        Some(if info.name.is_empty() { format!("{} {}", info.vendor, info.driver) } else { info.name.clone() })
+    }
+
+    /// Goes into a scene, from the bytes of a scene file or of an input. What it is, as JSON.
+    pub fn load(&mut self, name: &str, bytes: Vec<u8>) -> Result<String, JsValue> {
+        let world = Arc::new(World::from_bytes(Path::new(name), bytes).map_err(failed)?);
+        let (draws, device) = match &self.shows {
+            Some(shows) => (Draws::Gpu(Kernel::default()), Some(&shows.device)),
+            None => (Draws::Cpu, None),
+        };
+        let drawer = Drawer::new(world.clone(), draws, device).map_err(failed)?;
+        let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
+        self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
+        self.drawer = Some(drawer);
+        self.drawn = None;
+        let facts = json!({
+            "dims": world.resident.dims,
+            "levels": world.resident.levels.len(),
+            "bytes": world.resident.bytes(),
+            "hash": world.content_hash,
+        });
+        Ok(facts.to_string())
+    }
+
+    /// A key went down or up, by its `code`; whether it means anything here.
+    pub fn key(&mut self, code: &str, down: bool) -> bool {
+        if self.control.key(code, down) {
+            return true;
+        }
+        match code {
+            "KeyG" if down => {
+                let next = Mode::ALL.iter().position(|m| *m == self.control.mode()).unwrap_or(0) + 1;
+                self.control.set_mode(Mode::ALL[next % Mode::ALL.len()]);
+            }
+            "KeyZ" if down => self.control.pose.roll = 0.0,
+            "Home" if down => {
+                if let Some(drawer) = &self.drawer {
+                    let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
+                    self.control.place(tour::still(&drawer.world().scene, view));
+                }
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    /// Lets go of all keys.
+    pub fn release(&mut self) {
+        self.control.release();
+    }
+
+    pub fn look(&mut self, dx: f64, dy: f64) {
+        self.control.look(dx, dy);
+    }
+
+    pub fn wheel(&mut self, notches: f64) {
+        self.control.wheel(notches);
+    }
+
+    /// Flies to what shows at a pixel of the canvas; false where that is the sky.
+    pub fn fly_to(&mut self, x: f64, y: f64) -> bool {
+        let Some(drawer) = &self.drawer else { return false };
+        let camera = self.control.pose.camera(self.size);
+        let ray = camera.ray(&camera.basis(), x, y).normalize_or_zero();
+        let eye = self.control.pose.eye;
+        if !ray.is_finite() || ray == DVec3::ZERO || !eye.is_finite() {
+            return false;
+        }
+        let repeats = [self.options.repeat.x, self.options.repeat.z];
+        let hit = exact::cast(&drawer.world().scene.levels[0].solid, repeats, eye, ray, 1e7);
+        if let Some(hit) = &hit {
+            self.control.fly_to(ray, hit.t);
+        }
+        hit.is_some()
+    }
+
+    /// Tiles the world without end, or not.
+    pub fn repeat(&mut self, on: bool) {
+        (self.options.repeat.x, self.options.repeat.z) = (on, on);
+    }
+
+    /// One of the presets, by name; false where there is none of it.
+    pub fn preset(&mut self, name: &str) -> bool {
+        let preset = planecast::preset::Preset::ALL.into_iter().find(|p| p.name() == name);
+        self.options = preset.map_or(self.options, |p| p.options(self.options));
+        preset.is_some()
+    }
+
+    /// The picture has another size, pixels.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        self.size = [width, height].map(|n| n.clamp(1, SIDE));
+        if let Some(Shows { surface, config, device, .. }) = &mut self.shows {
+            [config.width, config.height] = self.size;
+            surface.configure(&device.device, config);
+            self.drawn = None;
+        }
+    }
+
+    /// Lets `seconds` pass, draws and shows. Whether anything was drawn, as the view had changed.
+    pub fn frame(&mut self, seconds: f64) -> Result<bool, JsValue> {
+        let Some(drawer) = &mut self.drawer else { return Ok(false) };
+        let world = drawer.world().clone();
+        self.control.step(seconds, &Ground::new(&world.scene.levels[0].solid, self.options.repeat));
+        let job = (self.control.pose, self.size, self.options);
+        if let Some(stats) = drawer.figures().map_err(failed)? {
+            self.stats = stats;
+        }
+        if self.drawn == Some(job) {
+            return Ok(false);
+        }
+        let camera = self.control.pose.camera(self.size);
+        match drawer.draw(&camera, &self.options).map_err(failed)? {
+            Drawn::Here(frame) => {
+                self.stats = frame.stats.clone();
+                self.pixels = frame.color.concat();
+            }
+            Drawn::OnDevice => self.show()?,
+        }
+        self.drawn = Some(job);
+        Ok(true)
+    }
+
+    fn show(&mut self) -> Result<(), JsValue> {
+        let (Some(shows), Some(drawer)) = (&mut self.shows, &self.drawer) else { return Ok(()) };
+        use wgpu::CurrentSurfaceTexture as Current;
+        let texture = match shows.surface.get_current_texture() {
+            Current::Success(texture) | Current::Suboptimal(texture) => texture,
+            // The canvas is hidden: the picture is there when it is not.
+            _ => return Ok(()),
+        };
+        let gpu = &shows.device.device;
+        let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut encoder = gpu.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        drawer.with_picture(|p| shows.presenter.show(&mut encoder, &view, p, self.size, self.size));
+        shows.device.queue.submit([encoder.finish()]);
+        shows.device.queue.present(texture);
+        shows.device.check().map_err(failed)
+    }
+
+    /// The CPU's picture, RGBA; empty where the GPU draws.
+    pub fn pixels(&self) -> Vec<u8> {
+        self.pixels.clone()
+    }
+
+    /// Width and height of the picture.
+    pub fn size(&self) -> Vec<u32> {
+        self.size.into()
+    }
+
+    /// What the latest frame cost, as JSON.
+    pub fn figures(&self) -> String {
+        json!(self.stats).to_string()
+    }
+
+    /// Where the camera is, as JSON.
+    pub fn pose(&self) -> String {
+        let Pose { eye, yaw, pitch, roll, fov } = self.control.pose;
+        json!({"eye": eye.to_array(), "yaw": yaw, "pitch": pitch, "roll": roll, "fov": fov,
+               "speed": self.control.speed, "mode": self.control.mode().name()})
+        .to_string()
+    }
+
+    /// Begins to read the GPU's picture back: [`Page::picture`] has it later.
+    pub fn read_picture(&mut self) -> bool {
+        let (Some(shows), Some(drawer)) = (&self.shows, &self.drawer) else { return false };
+        let size = 4 * u64::from(self.size[0]) * u64::from(self.size[1]);
+        let gpu = &shows.device.device;
+        let buffer = gpu.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("picture"),
+            size,
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        });
+        let mut encoder = gpu.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let copied = drawer.with_picture(|p| encoder.copy_buffer_to_buffer(p, 0, &buffer, 0, size));
+        shows.device.queue.submit([encoder.finish()]);
+        let (send, mapped) = channel();
+        buffer.map_async(wgpu::MapMode::Read, .., move |result| {
+            // The page may have gone on.
+            let _ = send.send(result);
+        });
+        self.reading = Some(Reading { buffer, mapped });
+        copied.is_some()
+    }
+
+    /// The GPU's picture as read back, RGBA; nothing while it is on its way.
+    pub fn picture(&mut self) -> Option<Vec<u8>> {
+        let reading = self.reading.as_ref()?;
+        reading.mapped.try_recv().ok()?.ok()?;
+        let bytes = reading.buffer.get_mapped_range(..).ok()?.to_vec();
+        self.reading = None;
+        Some(bytes)
+    }
+
+    /// The same view by the CPU's kernels, RGBA.
+    pub fn cpu_picture(&self) -> Result<Vec<u8>, JsValue> {
+        let Some(drawer) = &self.drawer else { return Ok(Vec::new()) };
+        let world = drawer.world();
+        let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+        let camera = self.control.pose.camera(self.size);
+        let frame = cpu.render(&camera, &self.options, Outputs::default()).map_err(failed)?;
+        Ok(frame.color.concat())
+    }
+}
