@@ -605,7 +605,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
                     c if (0..size[axis]).contains(&c) => c,
                     c => c.rem_euclid(size[axis]),
                 };
-                let wrapped = [wrap(0), wrap(1)];
+                let wrapped = if GROUND {
+                    [wrap(0), wrap(1)]
+                } else {
+                    [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])]
+                };
                 let mut stop = [0; 2];
                 for axis in 0..2 {
                     let w = wrapped[axis];
