@@ -161,9 +161,9 @@ impl Specialization {
         let can = |feature: Feature| match feature {
             Feature::Heights => resident.heights,
             Feature::Horizon => {
-                // The CPU's slices of the equidistant walk can leave columns out.
-                let whole = twin == Twin::Gpu || options.equidistant.is_none();
-                resident.heights && whole && options.culling == Culling::ALL && above_ground(setup)
+                // The CPU's walk has slices of equidistant columns in its general form alone.
+                let steps = twin == Twin::Gpu || options.equidistant.is_none();
+                resident.heights && options.culling == Culling::ALL && above_ground(setup) && steps
             }
             Feature::Bounded => !setup.repeats[0] && !setup.repeats[1],
             Feature::OneLevel => setup.levels == 1,

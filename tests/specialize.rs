@@ -122,8 +122,8 @@ fn specialize_draws_the_same_bits_over_a_grid_of_scenes_and_options() {
             assert_eq!(differs, None, "f64 {camera:?} {options:?}");
         }
     }
-    let own: Features = Feature::ALL.into_iter().filter(|f| f.is_of(Twin::Cpu)).collect();
-    assert_eq!(met, own, "every feature of the CPU's was in force somewhere");
+    let of_cpu: Features = Feature::ALL.into_iter().filter(|f| f.is_of(Twin::Cpu)).collect();
+    assert_eq!(met, of_cpu, "every feature was in force somewhere");
 }
 
 /// The comparison above, given a world that is one voxel higher at one place.

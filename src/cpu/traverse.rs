@@ -268,8 +268,8 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters 
             walk.finish()
         }};
     }
-    // All variants there are. Others were measured and do not pay: terms of tilted cameras, the seam of repeated worlds and
-    // the change of levels are met once a block or a level, not once a column.
+    // All variants there are. Terms of tilted cameras, the seam of repeated worlds and the change of levels are met once a
+    // span, a block or a level, not once a column, and have none.
     match (task.voxel.is_empty(), task.culling == Culling::ALL, task.ground) {
         (true, true, false) => walk!(false, true, false),
         (true, true, true) => walk!(false, true, true),
@@ -605,7 +605,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
                     c if (0..size[axis]).contains(&c) => c,
                     c => c.rem_euclid(size[axis]),
                 };
-                let wrapped = [wrap(0), wrap(1)];
+                let wrapped = if GROUND {
+                    [wrap(0), wrap(1)]
+                } else {
+                    [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])]
+                };
                 let mut stop = [0; 2];
                 for axis in 0..2 {
                     let w = wrapped[axis];
