@@ -264,7 +264,7 @@ fn starting(l: u32, top: u32, more: u32, n_more: u32, h: f32, past: bool) -> u32
     while (start < to) {
         let mid = (start + to) / 2u;
         let h0 = height(run_first(run_at(top, more, mid)) << l);
-        if (h0 > h || h0 == h && !past) {
+        if (h0 > h || (h0 == h && !past)) {
             start = mid + 1u;
         } else {
             to = mid;

@@ -23,9 +23,9 @@ use crate::{
     ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
 };
 
-#[cfg(not(target_arch = "wasm32"))]
 /// Writes `path` whole or not at all: into a new file beside it, which is synced and then takes its name. What
 /// stood under the name stays until then.
+#[cfg(not(target_arch = "wasm32"))]
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
     let (target, folder) = check_target(path)?;
     let mut builder = tempfile::Builder::new();
@@ -42,8 +42,8 @@ pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Re
     Ok(())
 }
 
-#[cfg(not(target_arch = "wasm32"))]
 /// The file that writing to `path` makes or replaces, and its folder, if it can be written.
+#[cfg(not(target_arch = "wasm32"))]
 pub(crate) fn check_target(path: &Path) -> Result<(PathBuf, PathBuf)> {
     let refuse = |kind, text: &str| Err(Error::io(path, "write", std::io::Error::new(kind, text)));
     // A rename would replace a link, or a device such as /dev/null, by a plain file.
@@ -64,8 +64,8 @@ pub(crate) fn check_target(path: &Path) -> Result<(PathBuf, PathBuf)> {
     Ok((target, folder))
 }
 
-#[cfg(not(target_arch = "wasm32"))]
 /// What a path leads to, links and dots resolved; a file that is not there yet is taken to be in its folder.
+#[cfg(not(target_arch = "wasm32"))]
 pub fn resolved(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -76,8 +76,8 @@ pub fn resolved(path: &Path) -> PathBuf {
     })
 }
 
-#[cfg(not(target_arch = "wasm32"))]
 /// Refuses to write `output` over `input`, which would be lost.
+#[cfg(not(target_arch = "wasm32"))]
 pub fn keep_input(input: &Path, flag: &str, output: &Path) -> Result<()> {
     if resolved(input) == resolved(output) {
         let output = output.display();
@@ -86,8 +86,8 @@ pub fn keep_input(input: &Path, flag: &str, output: &Path) -> Result<()> {
     Ok(())
 }
 
-#[cfg(not(target_arch = "wasm32"))]
 /// Writes a scene, atomically. The bytes depend on the scene alone, not on the number of threads.
+#[cfg(not(target_arch = "wasm32"))]
 pub fn write_scene(scene: &Scene, path: &Path) -> Result<()> {
     write_atomic(path, |out| write_scene_to(scene, out, path))
 }
@@ -202,8 +202,8 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
     }
 }
 
-#[cfg(not(target_arch = "wasm32"))]
 /// A tile with its blob as a zstd frame, where that is smaller.
+#[cfg(not(target_arch = "wasm32"))]
 pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (TileEntry, Vec<u8>) {
     if blob.is_empty() {
         return (entry, blob);

@@ -136,7 +136,14 @@ enum Drawn {
     /// One colour: the eye is inside a voxel.
     Inside(Box<Frame>),
     /// The picture is, or will be, in the buffer `shaded`.
-    Sent { plan: Plan, frame: Frame, start: Instant, setup_ms: f64 },
+    Sent(Box<Sent>),
+}
+
+struct Sent {
+    plan: Plan,
+    frame: Frame,
+    start: Instant,
+    setup_ms: f64,
 }
 
 struct Drawing {
@@ -357,7 +364,10 @@ impl<'a> GpuRenderer<'a> {
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
         match self.draw_from(begin, camera, options, outputs)? {
             Drawn::Inside(frame) => self.pending.push_back(Pending::Done(frame)),
-            Drawn::Sent { plan, frame, start, setup_ms } => self.read_back(&plan, frame, start, setup_ms)?,
+            Drawn::Sent(sent) => {
+                let Sent { plan, frame, start, setup_ms } = *sent;
+                self.read_back(&plan, frame, start, setup_ms)?;
+            }
         }
         Ok(())
     }
@@ -425,7 +435,7 @@ impl<'a> GpuRenderer<'a> {
         frame.stats.levels_drawn = setup.levels;
         frame.stats.left_out = plan.specialization.left_out();
         frame.stats.bytes_scene_gpu = self.tables.bytes;
-        Ok(Drawn::Sent { plan, frame, start, setup_ms })
+        Ok(Drawn::Sent(Box::new(Sent { plan, frame, start, setup_ms })))
     }
 }
 

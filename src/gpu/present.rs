@@ -7,7 +7,7 @@ use planecast_encoder::Scene;
 
 use super::engine::Engine;
 pub use super::engine::{Device, Failure};
-use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts};
+use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts, Sent};
 use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::error::{Error, Result};
@@ -89,7 +89,8 @@ impl<'a> GpuRenderer<'a> {
             Drawn::Inside(frame) => {
                 self.show_pixels(&frame.color)?;
             }
-            Drawn::Sent { plan, frame, start, setup_ms } if self.shown.waiting.len() < WAITING => {
+            Drawn::Sent(sent) if self.shown.waiting.len() < WAITING => {
+                let Sent { plan, frame, start, setup_ms } = *sent;
                 let parts = plan.parts(false);
                 let fits = |b: &wgpu::Buffer| b.size() >= parts.end;
                 let readback = match self.shown.free.iter().position(fits) {
@@ -108,9 +109,14 @@ impl<'a> GpuRenderer<'a> {
                 let stats = frame.stats;
                 self.shown.waiting.push_back(Waiting { stats, readback, mapped, parts, setup_ms, start });
             }
-            Drawn::Sent { .. } => {}
+            Drawn::Sent(_) => {}
         }
         Ok(())
+    }
+
+    /// Frames drawn whose figures have not come yet, up to three: more than one or two, and the device is behind.
+    pub fn waiting(&self) -> usize {
+        self.shown.waiting.len()
     }
 
     /// Puts a picture that was drawn elsewhere where [`GpuRenderer::picture`] has it.
@@ -309,5 +315,114 @@ impl Presenter {
             }
         }
         clock.latest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use planecast_encoder::source::procedural::{Kind, procedural};
+    use planecast_encoder::{BuildOptions, build};
+
+    use super::*;
+    use crate::tour::{self, View};
+
+    #[test]
+    fn present_shader_is_valid() {
+        use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
+        let module = wgpu::naga::front::wgsl::parse_str(SHADER).unwrap();
+        Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).unwrap();
+    }
+
+    /// What a presenter puts on a surface of that size, and the milliseconds of the pass.
+    fn shown(gpu: &mut GpuRenderer<'_>, device: &Device, size: [u32; 2], surface: [u32; 2]) -> (Vec<[u8; 4]>, f64) {
+        let format = wgpu::TextureFormat::Rgba8Unorm;
+        let mut presenter = Presenter::new(device, format);
+        let [width, height] = surface;
+        let texture = device.device.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let row = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: u64::from(row * height),
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        });
+        let mut ms = f64::INFINITY;
+        // The first passes wait for the GPU to wake.
+        for _ in 0..20 {
+            let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            presenter.show(&mut encoder, &view, gpu.picture().unwrap(), size, surface);
+            let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
+            let to = wgpu::TexelCopyBufferInfo { buffer: &buffer, layout };
+            encoder.copy_texture_to_buffer(texture.as_image_copy(), to, texture.size());
+            device.queue.submit([encoder.finish()]);
+            for _ in 0..2 {
+                ms = ms.min(presenter.ms().unwrap_or(f64::INFINITY));
+                device.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+            }
+        }
+        buffer.map_async(wgpu::MapMode::Read, .., |_| {});
+        device.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+        device.check().unwrap();
+        let bytes = buffer.get_mapped_range(..).unwrap();
+        let rows =
+            bytes.chunks(row as usize).flat_map(|r| bytemuck::cast_slice::<u8, [u8; 4]>(&r[..4 * width as usize]));
+        (rows.copied().collect(), ms)
+    }
+
+    #[test]
+    fn present_shows_the_picture_that_is_rendered() {
+        // As in tests/gpu.
+        if std::env::var_os("PLANECAST_NO_GPU").is_some_and(|v| v == "1") {
+            eprintln!("skipped: PLANECAST_NO_GPU=1");
+            return;
+        }
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        let adapter = Engine::choose(&instance, None).expect("a Vulkan device, software will do (./test installs one)");
+        let (device, queue) = pollster::block_on(adapter.request_device(&Device::wishes(&adapter))).unwrap();
+        let device = Device::new(adapter.get_info(), device, queue);
+        let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
+        let resident = Resident::new(&scene);
+        let mut gpu = GpuRenderer::on_device(&scene, &resident, GpuOptions::default(), &device).unwrap();
+        assert!(gpu.picture().is_none());
+        let options = Options::default();
+        for size in [[217, 131], [1920, 1080]] {
+            let camera = tour::still(&scene, View { fov: 60.0, size, repeat: options.repeat }).camera(size);
+            let rendered = gpu.render(&camera, &options, Outputs::default()).unwrap();
+            gpu.draw(&camera, &options).unwrap();
+            let (pixels, ms) = shown(&mut gpu, &device, size, size);
+            assert!(pixels == rendered.color, "{size:?}");
+            println!("{} × {}: the pass takes {ms:.4} ms on {}", size[0], size[1], device.info.name);
+            let figures = gpu.figures().unwrap().expect("the device was waited for");
+            let work = |s: &Stats| (s.columns_visited, s.runs_visited, s.spans_drawn, s.planes);
+            assert_eq!(work(&figures), work(&rendered.stats));
+            assert!(gpu.figures().unwrap().is_none(), "once each");
+            // Enlarged twice, each pixel lies within what is around it.
+            let (large, _) = shown(&mut gpu, &device, size, size.map(|n| 2 * n));
+            let mean = |p: &[[u8; 4]]| p.iter().map(|c| f64::from(c[1])).sum::<f64>() / p.len() as f64;
+            assert!((mean(&large) - mean(&pixels)).abs() < 1.0);
+        }
+        // An eye inside the ground sees one colour, which the host knows.
+        let inside = Camera {
+            eye: glam::DVec3::new(30.5, 0.5, 30.5),
+            yaw: 0.0,
+            pitch: 0.0,
+            roll: 0.0,
+            fov: 60.0,
+            width: 40,
+            height: 30,
+        };
+        let rendered = gpu.render(&inside, &options, Outputs::default()).unwrap();
+        gpu.draw(&inside, &options).unwrap();
+        assert!(shown(&mut gpu, &device, [40, 30], [40, 30]).0 == rendered.color);
     }
 }

@@ -68,7 +68,8 @@ fn header() -> String {
     constant("BLOCK_SIZE", format!("{}i", 1 << BLOCK_SHIFT));
     constant("STEEP", format!("{STEEP:?}f"));
     constant("TINY", "1e-20f".into());
-    constant("F32_MAX", format!("{:?}f", f32::MAX));
+    // In decimal it rounds to more than can be represented, which browsers refuse.
+    constant("F32_MAX", "0x1.fffffep+127f".into());
     // As bits: WGSL has no infinity.
     constant("INFINITY", format!("{}u", f32::INFINITY.to_bits()));
     constant("I32_MAX", format!("{}i", i32::MAX));

@@ -121,7 +121,7 @@ impl<'a> Ground<'a> {
 
     /// Whether a body with its eye there, `below` voxels tall to the eye, holds a part of a solid voxel.
     fn blocks(&self, eye: DVec3, below: f64) -> bool {
-        if !(eye.abs().max_element() < 1e15) {
+        if !eye.is_finite() || eye.abs().max_element() > 1e15 {
             return false;
         }
         let (low, high) = (eye - DVec3::new(SIDE, below, SIDE), eye + DVec3::new(SIDE, HEAD, SIDE));

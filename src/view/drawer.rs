@@ -80,7 +80,9 @@ impl Drawer {
                 (Draws::Exact, _) => Painter::Exact(cpu()),
                 (Draws::Gpu(_), None) => return Err(Error::Device("no usable GPU adapter; try --device cpu".into())),
                 (Draws::Gpu(kernel), Some(device)) => {
-                    let options = GpuOptions { kernel, ..GpuOptions::default() };
+                    // Where `invocation` is not there to be compared by, it takes what was fastest: a plane a workgroup.
+                    let lanes = (cfg!(target_arch = "wasm32") && kernel == Kernel::Invocation).then_some(1);
+                    let options = GpuOptions { kernel, lanes, ..GpuOptions::default() };
                     let gpu = GpuRenderer::on_device(&world.scene, &world.resident, options, device)?;
                     Painter::Gpu(Box::new(gpu))
                 }
@@ -137,6 +139,14 @@ impl Drawer {
         self.cell.with_dependent(|_, painter| match painter {
             Painter::Gpu(gpu) => gpu.picture().map(look),
             _ => None,
+        })
+    }
+
+    /// Frames on the device that are not done, as far as they are waited for.
+    pub fn waiting(&self) -> usize {
+        self.cell.with_dependent(|_, painter| match painter {
+            Painter::Gpu(gpu) => gpu.waiting(),
+            _ => 0,
         })
     }
 

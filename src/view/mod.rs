@@ -42,8 +42,8 @@ use crate::device::Device;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::options::Options;
 
-#[cfg(not(target_arch = "wasm32"))]
 /// What `planecast view` is told.
+#[cfg(not(target_arch = "wasm32"))]
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
@@ -68,8 +68,8 @@ pub struct Settings {
     pub script: Option<PathBuf>,
 }
 
-#[cfg(not(target_arch = "wasm32"))]
 /// Opens a window on a scene and stays until it is closed.
+#[cfg(not(target_arch = "wasm32"))]
 pub fn view(settings: Settings) -> Result<()> {
     #[cfg(feature = "view")]
     return window::run(settings);

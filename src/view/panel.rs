@@ -122,6 +122,7 @@ impl Panel {
             .id(egui::Id::unique("panel"))
             .default_pos([8.0, 8.0])
             .default_width(300.0)
+            .default_height(ctx.content_rect().height() - 60.0)
             .vscroll(true)
             .show(&ctx, |ui| {
                 ui.style_mut().spacing.item_spacing.y = 3.0;

@@ -9,6 +9,7 @@ const asked = new URLSearchParams(location.search);
 const began = performance.now();
 let page = null;
 let gpu = false;
+let adapter = "";
 let broken = false;
 let firstPicture = null;
 let scene = null;
@@ -21,7 +22,8 @@ function wrong(what, error) {
     broken = true;
     say(`${what}: planecast gave up (${error.message}). Reload the page to go on.`);
   } else {
-    say(`${what}: ${error?.message ?? error}`);
+    const why = `${error?.message ?? error}`;
+    say(why.startsWith(what) ? why : `${what}: ${why}`);
   }
 }
 
@@ -34,10 +36,15 @@ async function open() {
     say(isSecureContext
       ? `This browser has no WebGPU: drawing on the CPU, one thread, with fewer pixels. ${NEEDS}.`
       : "WebGPU needs a secure page (https, or http://localhost): drawing on the CPU, one thread, with fewer pixels.");
-  } else if (!(await navigator.gpu.requestAdapter())) {
-    say("WebGPU finds no usable GPU here: drawing on the CPU, one thread, with fewer pixels.");
   } else {
-    gpu = true;
+    const found = await navigator.gpu.requestAdapter();
+    if (found) {
+      gpu = true;
+      const { description, vendor, architecture } = found.info;
+      adapter = description || `WebGPU, ${vendor} ${architecture}`;
+    } else {
+      say("WebGPU finds no usable GPU here: drawing on the CPU, one thread, with fewer pixels.");
+    }
   }
   fit();
   try {
@@ -110,13 +117,19 @@ function tick(now) {
   then = now;
   try {
     fit();
-    if (page.frame(Math.max(0, seconds)) && !gpu) paint();
+    if (page.frame(Math.max(0, seconds))) {
+      shown.push(now);
+      if (!gpu) paint();
+    }
   } catch (error) {
     wrong("drawing", error);
     return;
   }
-  if (scene && firstPicture === null) firstPicture = performance.now() - began;
-  shown.push(now);
+  // Figures come when the picture is done, not when it is asked for.
+  if (scene && firstPicture === null) {
+    const f = JSON.parse(page.figures());
+    if (f.gpu_ms ?? f.cpu_ms) firstPicture = performance.now() - began;
+  }
   while (now - shown[0] > 1000) shown.shift();
   if (scene && element("panel").open) figures();
 }
@@ -136,7 +149,7 @@ function figures() {
   const stages = ms ? ["setup", "traverse", "remap", "shade", "total"].map((s) => `${s} ${ms[s].toFixed(2)}`).join(", ") : "";
   element("figures").textContent = [
     `${scene.name}: ${scene.dims.join(" × ")} voxels, ${scene.levels} levels, ${(scene.bytes / 1e6).toFixed(1)} MB`,
-    `${page.adapter() ?? "cpu"}, ${canvas.width} × ${canvas.height}, ${shown.length} frames/s`,
+    `${gpu ? adapter : "cpu"}, ${canvas.width} × ${canvas.height}, ${shown.length} frames/s`,
     `ms: ${stages}`,
     `${f.planes} planes, ${f.columns_visited} columns, ${f.runs_visited} runs`,
     `eye ${p.eye.map((v) => v.toFixed(1)).join(", ")}, yaw ${p.yaw.toFixed(0)}°, pitch ${p.pitch.toFixed(0)}°`,
@@ -188,7 +201,7 @@ function events() {
 /** For tests: the GPU's picture, the CPU's of the same view, and what the page says. */
 globalThis.planecast = {
   state: () => ({
-    gpu, scene, broken, firstPicture, words: element("words").textContent, adapter: page?.adapter() ?? null,
+    gpu, scene, broken, firstPicture, words: element("words").textContent, adapter: gpu ? adapter : null,
     pose: page ? JSON.parse(page.pose()) : null, figures: page ? JSON.parse(page.figures()) : null,
   }),
   load,

@@ -24,6 +24,10 @@ use web_sys::HtmlCanvasElement;
 /// Vertical field of view, degrees.
 const FOV: f64 = 60.0;
 
+/// Browsers ask for a proof that a workgroup's lanes meet at its barriers. That of `workgroup` hangs on values that all
+/// lanes have alike but that WGSL's rules do not show to be so; `invocation` has no barriers.
+const KERNEL: Kernel = Kernel::Invocation;
+
 /// Pixels a side at most: what every WebGPU device can show.
 const SIDE: u32 = 8192;
 
@@ -104,17 +108,11 @@ impl Page {
         })
     }
 
-    /// The adapter that draws; nothing where the CPU does.
-    pub fn adapter(&self) -> Option<String> {
-        let info = &self.shows.as_ref()?.device.info;
-        Some(if info.name.is_empty() { format!("{} {}", info.vendor, info.driver) } else { info.name.clone() })
-    }
-
     /// Goes into a scene, from the bytes of a scene file or of an input. What it is, as JSON.
     pub fn load(&mut self, name: &str, bytes: Vec<u8>) -> Result<String, JsValue> {
         let world = Arc::new(World::from_bytes(Path::new(name), bytes).map_err(failed)?);
         let (draws, device) = match &self.shows {
-            Some(shows) => (Draws::Gpu(Kernel::default()), Some(&shows.device)),
+            Some(shows) => (Draws::Gpu(KERNEL), Some(&shows.device)),
             None => (Draws::Cpu, None),
         };
         let drawer = Drawer::new(world.clone(), draws, device).map_err(failed)?;
@@ -198,10 +196,10 @@ impl Page {
     /// The picture has another size, pixels.
     pub fn resize(&mut self, width: u32, height: u32) {
         self.size = [width, height].map(|n| n.clamp(1, SIDE));
+        self.drawn = None;
         if let Some(Shows { surface, config, device, .. }) = &mut self.shows {
             [config.width, config.height] = self.size;
             surface.configure(&device.device, config);
-            self.drawn = None;
         }
     }
 
@@ -214,7 +212,8 @@ impl Page {
         if let Some(stats) = drawer.figures().map_err(failed)? {
             self.stats = stats;
         }
-        if self.drawn == Some(job) {
+        // Nothing in a page waits for the GPU: one that is slow must not be sent more than it draws.
+        if self.drawn == Some(job) || drawer.waiting() > 1 {
             return Ok(false);
         }
         let camera = self.control.pose.camera(self.size);
@@ -293,12 +292,14 @@ impl Page {
     }
 
     /// The GPU's picture as read back, RGBA; nothing while it is on its way.
-    pub fn picture(&mut self) -> Option<Vec<u8>> {
-        let reading = self.reading.as_ref()?;
-        reading.mapped.try_recv().ok()?.ok()?;
-        let bytes = reading.buffer.get_mapped_range(..).ok()?.to_vec();
+    pub fn picture(&mut self) -> Result<Option<Vec<u8>>, JsValue> {
+        let (Some(shows), Some(reading)) = (&self.shows, &self.reading) else { return Ok(None) };
+        shows.device.check().map_err(failed)?;
+        let Ok(mapped) = reading.mapped.try_recv() else { return Ok(None) };
+        mapped.map_err(failed)?;
+        let bytes = reading.buffer.get_mapped_range(..).map_err(failed)?.to_vec();
         self.reading = None;
-        Some(bytes)
+        Ok(Some(bytes))
     }
 
     /// The same view by the CPU's kernels, RGBA.

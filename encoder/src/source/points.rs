@@ -165,7 +165,7 @@ impl Points {
 fn check_extended(path: &Path) -> Result<()> {
     use std::io::{Read, Seek, SeekFrom};
     let failed = |e| Error::io(path, "read", e);
-    let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut file = std::fs::OpenOptions::new().read(true).open(path).map_err(|e| Error::io(path, "open", e))?;
     let file_len = file.metadata().map_err(failed)?.len();
     let mut head = Vec::new();
     Read::by_ref(&mut file).take(247).read_to_end(&mut head).map_err(failed)?;
