@@ -111,7 +111,7 @@ fn main() {
                     let counters = traverse::<f32>(&resident, &setup, args.options.culling, &mut buffer, retest);
                     walk = walk.min(at.elapsed().as_secs_f64() * 1e3);
                     if retest {
-                        remap::remap_retest(&setup, &buffer, &camera, &mut color, &mut depth, &mut []);
+                        remap::remap_retest(&resident, &setup, &buffer, &camera, &mut color, &mut depth, &mut []);
                     } else {
                         remap::remap(&setup, &buffer, args.size[0], &mut color, &mut depth);
                     }

@@ -177,7 +177,7 @@ impl<'a> CpuRenderer<'a> {
         let sparse = setup.is_sparse();
         if retest {
             let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
-            remap::remap_retest(setup, &self.buffer, camera, color, depth, voxel);
+            remap::remap_retest(self.resident, setup, &self.buffer, camera, color, depth, voxel);
             for v in voxel {
                 *v = world_voxel(setup, *v);
             }

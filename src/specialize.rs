@@ -83,7 +83,7 @@ impl Feature {
 
     /// Whether a twin has tables or kernels for it.
     pub fn is_of(self, twin: Twin) -> bool {
-        twin == Twin::Gpu || matches!(self, Feature::Heights | Feature::Horizon)
+        twin == Twin::Gpu || matches!(self, Feature::Heights | Feature::Horizon | Feature::LateColor)
     }
 }
 
@@ -171,7 +171,11 @@ impl Specialization {
             Feature::Packed => {
                 setup.retests(camera, options) && setup.planes.iter().all(|p| farthest_cell(setup, p) < PACKED)
             }
-            Feature::LateColor => setup.retests(camera, options) && resident.color != ColorMode::Run,
+            Feature::LateColor => {
+                // On the CPU a height field's colours are found faster by span than by pixel.
+                let pays = twin == Twin::Gpu || (options.culling == Culling::ALL && !resident.heights);
+                setup.retests(camera, options) && pays && resident.color != ColorMode::Run
+            }
         };
         // The tables are what they are by now.
         let may = |feature: Feature| feature == Feature::Heights || options.specialize.has(feature);

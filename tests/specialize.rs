@@ -1,6 +1,7 @@
 //! Whatever is left out, what planes draw stays the same, bit for bit.
 
 use glam::DVec3;
+use planecast::cpu::remap::color_of;
 use planecast::cpu::traverse::{PlaneBuffer, Real, traverse, traverse_with};
 use planecast::plane_setup::plane_setup;
 use planecast::specialize::{Specialization, Twin};
@@ -88,7 +89,8 @@ fn compare<R: Real>(
         (first..end).find_map(|i| {
             let [a, b] = [0, 1].map(|w| {
                 let PlaneBuffer { color, depth, voxel } = &found[w];
-                (color[i], depth[i].to_bits(), voxel.get(i).copied())
+                let color = color.get(i).copied().unwrap_or_else(|| color_of(resident, voxel[i]));
+                (color, depth[i].to_bits(), voxel.get(i).copied())
             });
             (a != b).then(|| format!("plane {k} sample {}: {a:?} against {b:?}", i - plane.base))
         })

@@ -8,6 +8,7 @@
 use crate::camera::Camera;
 use crate::cpu::traverse::{PlaneBuffer, Real, SKY, has_avx2};
 use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, crowd, vertical};
+use crate::resident::Resident;
 use rayon::prelude::*;
 
 /// No plane passes within half a pixel.
@@ -280,8 +281,10 @@ impl Boxes {
 /// Like [`remap`], but each pixel tests the voxels of the samples around its place against its own ray: it takes the
 /// nearer of those of the two planes beside it; where it meets neither, the nearest that it does meet among the samples
 /// next to them. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`];
-/// the voxel of each pixel goes to `voxel` unless that is empty, in the same form.
+/// the voxel of each pixel goes to `voxel` unless that is empty, in the same form. Where planes have no colours they are
+/// looked up here, for the samples that are taken.
 pub fn remap_retest(
+    resident: &Resident,
     setup: &Setup,
     buffer: &PlaneBuffer,
     camera: &Camera,
@@ -303,7 +306,7 @@ pub fn remap_retest(
     tasks.into_par_iter().enumerate().for_each(|(task, (color, depth, voxel))| {
         let first_row = (task * ROWS_A_TASK) as u32;
         let rows = RowsTask { setup, buffer, first_row, width: camera.width, color, depth };
-        let task = RetestTask { rows, camera, drawn: &drawn, whole, voxel };
+        let task = RetestTask { rows, resident, camera, drawn: &drawn, whole, voxel };
         #[cfg(target_arch = "x86_64")]
         if avx2 {
             // SAFETY: `has_avx2` has seen that the processor can.
@@ -317,6 +320,7 @@ pub fn remap_retest(
 /// Some rows of a picture whose pixels test voxels.
 struct RetestTask<'a> {
     rows: RowsTask<'a>,
+    resident: &'a Resident,
     camera: &'a Camera,
     /// First sample of each plane, and one past its last: beyond them its part of the buffer is not drawn.
     drawn: &'a [[u32; 2]],
@@ -330,6 +334,15 @@ struct RetestTask<'a> {
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
 fn retest_rows_avx2(task: RetestTask<'_>) {
     retest_rows(task);
+}
+
+/// Colour of a voxel as planes keep it, 0 of the sky.
+#[inline(always)]
+pub fn color_of(resident: &Resident, [x, y, z, l]: [i32; 4]) -> u32 {
+    let Some(level) = resident.levels.get(l as usize) else { return 0 };
+    // Whole periods away where the world repeats.
+    let wrap = |v: i32, n: u32| if (v as u32) < n { v as u32 } else { v.rem_euclid(n as i32) as u32 };
+    level.color((wrap(z, level.nz) * level.nx + wrap(x, level.nx)) as usize, y as u32)
 }
 
 const BLOCK: usize = COLUMNS_A_BLOCK as usize;
@@ -346,8 +359,14 @@ struct Block {
 
 #[inline(always)]
 fn retest_rows(task: RetestTask<'_>) {
-    let RetestTask { rows: RowsTask { setup, buffer, first_row, width, color, depth }, camera, drawn, whole, voxel } =
-        task;
+    let RetestTask {
+        rows: RowsTask { setup, buffer, first_row, width, color, depth },
+        resident,
+        camera,
+        drawn,
+        whole,
+        voxel,
+    } = task;
     let w = width as usize;
     let basis = camera.basis();
     let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
@@ -369,7 +388,7 @@ fn retest_rows(task: RetestTask<'_>) {
         let drawn = &drawn[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
         let samples = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
         let shown = &buffer.voxel[samples.clone()];
-        let (colors, depths) = (&buffer.color[samples.clone()], &buffer.depth[samples]);
+        let (colors, depths) = (buffer.color.get(samples.clone()), &buffer.depth[samples]);
 
         let [own, beside] = &mut block.at;
         rows[r].gather(part, |x, place| {
@@ -433,8 +452,20 @@ fn retest_rows(task: RetestTask<'_>) {
         }
         let out = r * w + part.from as usize..r * w + part.to as usize;
         depth[out.clone()].copy_from_slice(&near[..m]);
-        for (c, &at) in color[out.clone()].iter_mut().zip(&own[..m]) {
-            *c = colors[at as usize];
+        let pixels = color[out.clone()].iter_mut().zip(&own[..m]);
+        match colors {
+            Some(colors) => pixels.for_each(|(c, &at)| *c = colors[at as usize]),
+            None => {
+                // Pixels side by side mostly show the same voxel, or one whose colour is near in memory.
+                let mut last = (SKY, 0);
+                for (c, &at) in pixels {
+                    let voxel = shown[at as usize];
+                    if voxel != last.0 {
+                        last = (voxel, color_of(resident, voxel));
+                    }
+                    *c = last.1;
+                }
+            }
         }
         if !voxel.is_empty() {
             for (v, &at) in voxel[out].iter_mut().zip(&own[..m]) {

@@ -162,7 +162,8 @@ pub fn traverse<R: Real>(
     traverse_with::<R>(resident, setup, culling, Specialization { features: Features::NONE }, buffer, voxels)
 }
 
-/// The same picture without what the frame does not need.
+/// The same picture without what the frame does not need. With [`Feature::LateColor`] and `voxels` the buffer has no
+/// colours: they are [`ResidentLevel::color`] of the voxels.
 pub fn traverse_with<R: Real>(
     resident: &Resident,
     setup: &Setup,
@@ -172,7 +173,8 @@ pub fn traverse_with<R: Real>(
     voxels: bool,
 ) -> Counters {
     let ground = specialization.has(Feature::Horizon) && culling == Culling::ALL && setup.equidistant >= EVERYWHERE;
-    buffer.color.resize(setup.samples, 0);
+    let colors = !(specialization.has(Feature::LateColor) && voxels && culling == Culling::ALL);
+    buffer.color.resize(if colors { setup.samples } else { 0 }, 0);
     buffer.depth.resize(setup.samples, f32::INFINITY);
     buffer.voxel.resize(if voxels { setup.samples } else { 0 }, SKY);
 
@@ -190,7 +192,7 @@ pub fn traverse_with<R: Real>(
         for planes in planes.chunks(PLANES_A_TASK) {
             let n = planes.len() * fan.n_samples as usize;
             let (c, d, v);
-            (c, color) = color.split_at_mut(n);
+            (c, color) = color.split_at_mut(if colors { n } else { 0 });
             (d, depth) = depth.split_at_mut(n);
             (v, voxel) = voxel.split_at_mut(if voxels { n } else { 0 });
             tasks.push(Task { planes, color: c, depth: d, voxel: v });
@@ -199,13 +201,13 @@ pub fn traverse_with<R: Real>(
     let tasks = tasks.into_par_iter().with_max_len(1);
     let avx2 = has_avx2();
     let run = |task: Task<'_>| {
-        let n = task.color.len() / task.planes.len();
+        let n = task.depth.len() / task.planes.len();
         let mut counters = Counters::default();
         let sight = Sight { depth_t: Vec::new(), slope: Vec::new(), depth_h: Vec::new() };
         let mut scratch = Scratch { open: Vec::new(), skip: Vec::new(), sight };
         for (k, plane) in task.planes.iter().enumerate() {
             let at = k * n..(k + 1) * n;
-            let color = &mut task.color[at.clone()];
+            let color = if colors { &mut task.color[at.clone()] } else { &mut [][..] };
             let depth = &mut task.depth[at.clone()];
             let voxel = if voxels { &mut task.voxel[at] } else { &mut [][..] };
             let task = Task1 { resident, setup, plane, culling, ground, color, depth, voxel };
@@ -262,8 +264,11 @@ struct Task1<'a> {
 #[inline(always)]
 fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     macro_rules! walk {
-        ($voxel:literal, $fast:literal, $ground:literal) => {{
-            let mut walk = Walk::<R, $voxel, $fast, $ground>::new(task, scratch);
+        ($voxel:literal, $fast:literal, $ground:literal) => {
+            walk!($voxel, $fast, $ground, true)
+        };
+        ($voxel:literal, $fast:literal, $ground:literal, $color:literal) => {{
+            let mut walk = Walk::<R, $voxel, $fast, $ground, $color>::new(task, scratch);
             walk.run();
             walk.finish()
         }};
@@ -274,6 +279,8 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters 
         (true, true, false) => walk!(false, true, false),
         (true, true, true) => walk!(false, true, true),
         (true, false, _) => walk!(false, false, false),
+        (false, true, false) if task.color.is_empty() => walk!(true, true, false, false),
+        (false, true, true) if task.color.is_empty() => walk!(true, true, true, false),
         (false, true, false) => walk!(true, true, false),
         (false, true, true) => walk!(true, true, true),
         (false, false, _) => walk!(true, false, false),
@@ -325,7 +332,7 @@ struct Drawn<R> {
 /// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for
 /// [`Culling::ALL`], so that the compiler drops the switches; `GROUND` for heights seen from above the ground.
 #[repr(C)]
-struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> {
+struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const COLOR: bool> {
     resident: &'a Resident,
     setup: &'a Setup,
     plane: &'a Plane,
@@ -375,11 +382,13 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool
     counters: Counters,
 }
 
-impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<'a, R, VOXEL, FAST, GROUND> {
+impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const COLOR: bool>
+    Walk<'a, R, VOXEL, FAST, GROUND, COLOR>
+{
     #[inline(always)]
     fn new(task: Task1<'a>, scratch: &'a mut Scratch<R>) -> Self {
         let Task1 { resident, setup, plane, culling, ground: _, color, depth, voxel } = task;
-        let n = color.len();
+        let n = depth.len();
         scratch.open.clear();
         scratch.open.resize(n.div_ceil(64), 0);
         for j in plane.first as usize / 64..(plane.end as usize).div_ceil(64) {
@@ -864,8 +873,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
             for (i, z) in self.depth[lanes.clone()].iter_mut().enumerate() {
                 *z = if i < n { t0 * depth_t[i] } else { up * depth_h[i] }.to_f32();
             }
-            let color = &mut self.color[lanes.clone()];
-            if let Paint::Voxel { colors, .. } = &level.paint {
+            let color = if COLOR { &mut self.color[lanes.clone()] } else { &mut [][..] };
+            if !COLOR {
+            } else if let Paint::Voxel { colors, .. } = &level.paint {
                 let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
                 let hidden = height - own.len() as u32;
                 for (c, y) in color.iter_mut().zip(ys) {
@@ -882,10 +892,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
             return;
         }
         let (depth_t, slope) = (&self.sight.depth_t[j0..f1], &self.sight.slope[j0..f1]);
-        let color = &mut self.color[j0..j1];
+        let color = if COLOR { &mut self.color[j0..j1] } else { &mut [][..] };
         let depth = &mut self.depth[j0..j1];
         let n = f1 - j0;
-        if let Paint::Voxel { colors, .. } = &level.paint {
+        if !COLOR {
+        } else if let Paint::Voxel { colors, .. } = &level.paint {
             // The column's own colours, of its topmost voxels last, of voxel 0 first.
             let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
             let hidden = height as usize - own.len();
@@ -1157,7 +1168,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
     fn emit(&mut self, level: &ResidentLevel, l: u32, face: Face, d: Drawn<R>, from: usize, to: usize) {
         let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
         let depth = &mut self.depth[from..to];
-        let color = &mut self.color[from..to];
+        let color = if COLOR { &mut self.color[from..to] } else { &mut [][..] };
         if let Face::Front = face {
             let (depth_t, slope) = (&self.sight.depth_t[from..to], &self.sight.slope[from..to]);
             // How far above the run's foot each sight line meets it, in voxels of level 0.
@@ -1165,6 +1176,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
             let y = |&slope: &R| first + (((slope * d.t0 - d.h0).truncate(top) as u32) >> l);
             // Most spans are short: for them a loop over vectors costs more than it saves.
             if to - from < 16
+                && COLOR
                 && let Paint::Voxel { base, exposed, colors } = &level.paint
             {
                 let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
@@ -1184,6 +1196,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
                 *z = (d.t0 * s).to_f32();
             }
             match &level.paint {
+                _ if !COLOR => {}
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Column { colors } => color.fill(colors[d.column]),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
@@ -1206,7 +1219,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
             for (z, &s) in depth.iter_mut().zip(&self.sight.depth_h[from..to]) {
                 *z = (up * s).to_f32();
             }
-            color.fill(level.paint.color(d.column, d.k, y));
+            if COLOR {
+                color.fill(level.paint.color(d.column, d.k, y));
+            }
             if VOXEL {
                 self.voxel[from..to].fill([self.cell[0], y as i32, self.cell[1], l as i32]);
             }
@@ -1291,7 +1306,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool> Walk<
                 open & low_bits(hi.saturating_sub(64 * w).min(64)) & !low_bits(lo.saturating_sub(64 * w).min(64));
             while open != 0 {
                 let j = 64 * w + open.trailing_zeros() as usize;
-                self.color[j] = 0;
+                if COLOR {
+                    self.color[j] = 0;
+                }
                 self.depth[j] = f32::INFINITY;
                 if VOXEL {
                     self.voxel[j] = SKY;
