@@ -141,6 +141,22 @@ fn set_key(i: u32, key: u32) {
 //!endif
 }
 
+// What all lanes say alike; browsers want it proved where a barrier depends on it.
+//!if UNIFORM
+var<workgroup> said: u32;
+
+fn alike(lane: u32, what: bool) -> bool {
+    if (lane == 0u) {
+        said = u32(what);
+    }
+    return workgroupUniformLoad(&said) == 1u;
+}
+//!else
+fn alike(lane: u32, what: bool) -> bool {
+    return what;
+}
+//!endif
+
 // All lanes have come here, and see each other's keys.
 fn sync() {
     workgroupBarrier();
@@ -739,7 +755,7 @@ fn shrink(lane: u32, turn: u32) {
     }
     lo = max(lo, atomicLoad(&turns[turn].lo));
     hi = min(hi, atomicLoad(&turns[turn].hi));
-    if (lo < hi && atomicLoad(&floats) == 1u && !(is_open(lo) && is_open(hi - 1))) {
+    if (alike(lane, lo < hi && atomicLoad(&floats) == 1u && !(is_open(lo) && is_open(hi - 1)))) {
         for (var j = lo + i32(lane); j < hi; j += i32(WIDTH)) {
             if (is_open(j)) {
                 if (j == lo || !is_open(j - 1)) {
@@ -903,10 +919,11 @@ fn main(
                 over = (s.x > 0.0 && s.x * t >= frame.top) || (s.y < 0.0 && s.y * t <= frame.bottom);
             }
         }
+        let ends = alike(lane, over);
         // Slices of this stretch must fit the keys.
-        if (over || slices - epoch > EPOCH - i32(WIDTH) * GROUP) {
-            resolve(lane, epoch, over);
-            if (over) {
+        if (alike(lane, over || slices - epoch > EPOCH - i32(WIDTH) * GROUP)) {
+            resolve(lane, epoch, ends);
+            if (ends) {
                 break;
             }
             epoch = slices;
@@ -923,7 +940,7 @@ fn main(
             listed[lane] = (l << 27u) | u32(n);
         }
         var left = 1u;
-        while (left > 0u && lo < hi) {
+        while (alike(lane, left > 0u && lo < hi)) {
             alive = alive && can_show(own);
             if (alive) {
                 atomicOr(&turns[turn].survive[lane >> 5u], 1u << (lane & 31u));
@@ -967,7 +984,7 @@ fn main(
                 reset_turn((turn + 2u) % 3u);
             }
             sync();
-            if (n > 0u) {
+            if (alike(lane, n > 0u)) {
                 shrink(lane, turn);
             }
             turn = (turn + 1u) % 3u;

@@ -72,6 +72,9 @@ pub struct GpuOptions {
     pub kernel: Kernel,
     /// Leaves out wgpu's runtime checks of the shaders. Scenes are validated before they become a [`Resident`].
     pub trusted: bool,
+    /// Whether `workgroup` proves to the compiler that its lanes meet at barriers, which browsers ask for: two more barriers
+    /// a decision.
+    pub proved_uniform: bool,
     /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
     /// for the kernel's own.
     pub lanes: Option<u32>,
@@ -88,6 +91,7 @@ impl Default for GpuOptions {
         GpuOptions {
             kernel: Kernel::Workgroup,
             trusted: !cfg!(debug_assertions),
+            proved_uniform: cfg!(target_arch = "wasm32"),
             lanes: None,
             in_flight: 3,
             workgroup_memory: u32::MAX,
@@ -731,6 +735,9 @@ impl GpuRenderer<'_> {
                 }
                 if plan.specialization.has(Feature::Horizon) {
                     defines.push("GROUND");
+                }
+                if self.options.proved_uniform {
+                    defines.push("UNIFORM");
                 }
                 let x = plan.n_planes.min(GROUPS_A_ROW);
                 ("traverse_workgroup", [x, groups(plan.n_planes, x.max(1))])

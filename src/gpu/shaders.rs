@@ -188,7 +188,7 @@ mod tests {
         let mut all = Vec::new();
         for pages in [one, many] {
             for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
-                for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS"]] {
+                for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS", "UNIFORM"]] {
                     for remap in [&[][..], &["RETEST"], &["RETEST", "PACKED", "LATE_COLOR"], &["INDEX"], &["GATHER"]] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
                     }

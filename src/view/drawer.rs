@@ -80,9 +80,7 @@ impl Drawer {
                 (Draws::Exact, _) => Painter::Exact(cpu()),
                 (Draws::Gpu(_), None) => return Err(Error::Device("no usable GPU adapter; try --device cpu".into())),
                 (Draws::Gpu(kernel), Some(device)) => {
-                    // Where `invocation` is not there to be compared by, it takes what was fastest: a plane a workgroup.
-                    let lanes = (cfg!(target_arch = "wasm32") && kernel == Kernel::Invocation).then_some(1);
-                    let options = GpuOptions { kernel, lanes, ..GpuOptions::default() };
+                    let options = GpuOptions { kernel, ..GpuOptions::default() };
                     let gpu = GpuRenderer::on_device(&world.scene, &world.resident, options, device)?;
                     Painter::Gpu(Box::new(gpu))
                 }

@@ -396,7 +396,10 @@ fn lanes_and_memory_change_no_picture() {
     for (kernel, lanes) in [(Kernel::Workgroup, [32, 64, 128, 256]), (Kernel::Invocation, [1, 2, 16, 64])] {
         // 16 KiB is what every device has; in 2.5 KiB neither keys nor bits of a tall picture fit.
         for (lanes, memory) in lanes.into_iter().flat_map(|n| [(n, 16 << 10), (n, 2560)]) {
-            let options = GpuOptions { lanes: Some(lanes), workgroup_memory: memory, ..gpu_options(kernel) };
+            // As browsers have it, too.
+            let proved_uniform = lanes == 64;
+            let options =
+                GpuOptions { lanes: Some(lanes), workgroup_memory: memory, proved_uniform, ..gpu_options(kernel) };
             let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options).unwrap();
             for camera in [&small, &tall] {
                 let drawn = gpu.render(camera, &flat(), VOXEL).unwrap();

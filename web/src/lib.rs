@@ -24,9 +24,7 @@ use web_sys::HtmlCanvasElement;
 /// Vertical field of view, degrees.
 const FOV: f64 = 60.0;
 
-/// Browsers ask for a proof that a workgroup's lanes meet at its barriers. That of `workgroup` hangs on values that all
-/// lanes have alike but that WGSL's rules do not show to be so; `invocation` has no barriers.
-const KERNEL: Kernel = Kernel::Invocation;
+const KERNEL: Kernel = Kernel::Workgroup;
 
 /// Pixels a side at most: what every WebGPU device can show.
 const SIDE: u32 = 8192;
