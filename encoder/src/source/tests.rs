@@ -957,7 +957,7 @@ const SHAPES: u64 = 0x5795_6F1B_8E09_CC93;
 #[test]
 fn procedural_names_are_checked() {
     let e = |name: &str| from_name(name).err().unwrap().to_string();
-    assert!(e("hills").contains("there is no scene \"hills\""));
+    assert!(e("dunes").contains("there is no scene \"dunes\""));
     assert!(e("terrain?size=x").contains("size=x is not a whole number"));
     assert!(e("terrain?level=3").contains("no parameter \"level\""));
     assert!(e("terrain?size").contains("has no value"));
