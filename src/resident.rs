@@ -161,18 +161,6 @@ impl ResidentLevel {
         }
     }
 
-    /// Colour of voxel `y` of column number `ix`; of levels whose runs have no colours of their own.
-    #[inline(always)]
-    pub fn color(&self, ix: usize, y: u32) -> u32 {
-        if let (Paint::Voxel { colors, .. }, Table::Heights(heights), [_, ..]) =
-            (&self.paint, &self.table, &self.column_colors[..])
-        {
-            let own = &colors[self.column_colors[ix] as usize..self.column_colors[ix + 1] as usize];
-            return own[(y as usize).saturating_sub(usize::from(heights[ix]) - own.len())];
-        }
-        self.paint.color(ix, 0, y)
-    }
-
     /// The runs of column number `ix`, from the top down.
     pub fn column(&self, ix: usize) -> impl Iterator<Item = Run> + '_ {
         let [top, more] = self.entry(ix);

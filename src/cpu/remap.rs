@@ -336,13 +336,13 @@ fn retest_rows_avx2(task: RetestTask<'_>) {
     retest_rows(task);
 }
 
-/// Colour of a voxel as planes keep it, 0 of the sky.
+/// Colour of a voxel as planes keep it, 0 of the sky; of scenes whose runs have no colours of their own.
 #[inline(always)]
 pub fn color_of(resident: &Resident, [x, y, z, l]: [i32; 4]) -> u32 {
     let Some(level) = resident.levels.get(l as usize) else { return 0 };
     // Whole periods away where the world repeats.
     let wrap = |v: i32, n: u32| if (v as u32) < n { v as u32 } else { v.rem_euclid(n as i32) as u32 };
-    level.color((wrap(z, level.nz) * level.nx + wrap(x, level.nx)) as usize, y as u32)
+    level.paint.color((wrap(z, level.nz) * level.nx + wrap(x, level.nx)) as usize, 0, y as u32)
 }
 
 const BLOCK: usize = COLUMNS_A_BLOCK as usize;

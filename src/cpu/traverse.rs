@@ -163,7 +163,7 @@ pub fn traverse<R: Real>(
 }
 
 /// The same picture without what the frame does not need. With [`Feature::LateColor`] and `voxels` the buffer has no
-/// colours: they are [`ResidentLevel::color`] of the voxels.
+/// colours: they are [`crate::cpu::remap::color_of`] the voxels. Over ground it has them.
 pub fn traverse_with<R: Real>(
     resident: &Resident,
     setup: &Setup,
@@ -173,7 +173,7 @@ pub fn traverse_with<R: Real>(
     voxels: bool,
 ) -> Counters {
     let ground = specialization.has(Feature::Horizon) && culling == Culling::ALL && setup.equidistant >= EVERYWHERE;
-    let colors = !(specialization.has(Feature::LateColor) && voxels && culling == Culling::ALL);
+    let colors = !(specialization.has(Feature::LateColor) && voxels && culling == Culling::ALL && !ground);
     buffer.color.resize(if colors { setup.samples } else { 0 }, 0);
     buffer.depth.resize(setup.samples, f32::INFINITY);
     buffer.voxel.resize(if voxels { setup.samples } else { 0 }, SKY);
@@ -280,7 +280,6 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters 
         (true, true, true) => walk!(false, true, true),
         (true, false, _) => walk!(false, false, false),
         (false, true, false) if task.color.is_empty() => walk!(true, true, false, false),
-        (false, true, true) if task.color.is_empty() => walk!(true, true, true, false),
         (false, true, false) => walk!(true, true, false),
         (false, true, true) => walk!(true, true, true),
         (false, false, _) => walk!(true, false, false),
@@ -330,7 +329,8 @@ struct Drawn<R> {
 
 /// One plane on its way. Fields in this order: `s_lo` and `s_hi` are written one by one and read together, and side by side
 /// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for
-/// [`Culling::ALL`], so that the compiler drops the switches; `GROUND` for heights seen from above the ground.
+/// [`Culling::ALL`], so that the compiler drops the switches; `GROUND` for heights seen from above the ground, `COLOR`
+/// for planes that have colours.
 #[repr(C)]
 struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const COLOR: bool> {
     resident: &'a Resident,
@@ -873,9 +873,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             for (i, z) in self.depth[lanes.clone()].iter_mut().enumerate() {
                 *z = if i < n { t0 * depth_t[i] } else { up * depth_h[i] }.to_f32();
             }
-            let color = if COLOR { &mut self.color[lanes.clone()] } else { &mut [][..] };
-            if !COLOR {
-            } else if let Paint::Voxel { colors, .. } = &level.paint {
+            let color = &mut self.color[lanes.clone()];
+            if let Paint::Voxel { colors, .. } = &level.paint {
                 let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
                 let hidden = height - own.len() as u32;
                 for (c, y) in color.iter_mut().zip(ys) {
@@ -892,11 +891,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             return;
         }
         let (depth_t, slope) = (&self.sight.depth_t[j0..f1], &self.sight.slope[j0..f1]);
-        let color = if COLOR { &mut self.color[j0..j1] } else { &mut [][..] };
+        let color = &mut self.color[j0..j1];
         let depth = &mut self.depth[j0..j1];
         let n = f1 - j0;
-        if !COLOR {
-        } else if let Paint::Voxel { colors, .. } = &level.paint {
+        if let Paint::Voxel { colors, .. } = &level.paint {
             // The column's own colours, of its topmost voxels last, of voxel 0 first.
             let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
             let hidden = height as usize - own.len();
