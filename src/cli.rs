@@ -347,7 +347,7 @@ pub struct DrawArgs {
     fog: Option<f64>,
     /// What may be left out where the frame does not need it, for measuring: auto, off, or some of
     /// heights,horizon,bounded,one-level,upright,packed,late-color
-    #[arg(long, value_name = "LIST", value_parser = features, default_value = "auto")]
+    #[arg(long, value_name = "LIST", default_value = "auto")]
     specialize: Features,
     /// Draw a scene with broken tiles, those as empty
     #[arg(long)]
@@ -476,10 +476,6 @@ fn culling(s: &str) -> Result<Culling, String> {
         } = true;
     }
     Ok(culling)
-}
-
-fn features(s: &str) -> std::result::Result<Features, String> {
-    s.parse().map_err(|e: Error| e.to_string())
 }
 
 impl DrawArgs {

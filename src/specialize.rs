@@ -10,13 +10,11 @@
 //! are sparse.
 
 use crate::camera::Camera;
-use crate::error::Error;
 use crate::options::{Culling, Options};
 use crate::plane_setup::{Plane, Setup};
 use crate::resident::Resident;
 use planecast_encoder::ColorMode;
-use std::fmt;
-use std::str::FromStr;
+use planecast_encoder::features::{FeatureSet, Named};
 
 /// One thing that can be left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -56,18 +54,6 @@ impl Feature {
         Feature::LateColor,
     ];
 
-    pub fn name(self) -> &'static str {
-        match self {
-            Feature::Heights => "heights",
-            Feature::Horizon => "horizon",
-            Feature::Bounded => "bounded",
-            Feature::OneLevel => "one-level",
-            Feature::Upright => "upright",
-            Feature::Packed => "packed",
-            Feature::LateColor => "late-color",
-        }
-    }
-
     /// What is not paid for.
     pub fn leaves_out(self) -> &'static str {
         match self {
@@ -87,67 +73,24 @@ impl Feature {
     }
 }
 
-/// A set of features.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Features(u8);
+impl Named for Feature {
+    const ALL: &'static [Feature] = &Feature::ALL;
 
-impl Features {
-    pub const ALL: Features = Features((1 << Feature::ALL.len()) - 1);
-    pub const NONE: Features = Features(0);
-
-    pub fn has(self, feature: Feature) -> bool {
-        self.0 >> feature as u8 & 1 == 1
-    }
-
-    #[must_use]
-    pub fn with(self, feature: Feature) -> Features {
-        Features(self.0 | 1 << feature as u8)
-    }
-
-    pub fn iter(self) -> impl Iterator<Item = Feature> {
-        Feature::ALL.into_iter().filter(move |&f| self.has(f))
-    }
-
-    /// Every set.
-    pub fn sets() -> impl Iterator<Item = Features> {
-        (0..=Features::ALL.0).map(Features)
-    }
-}
-
-impl FromIterator<Feature> for Features {
-    fn from_iter<I: IntoIterator<Item = Feature>>(features: I) -> Features {
-        features.into_iter().fold(Features::NONE, Features::with)
-    }
-}
-
-/// `auto` for all, `off` for none, else names with commas between.
-impl FromStr for Features {
-    type Err = Error;
-
-    fn from_str(text: &str) -> Result<Features, Error> {
-        let feature = |name: &str| {
-            Feature::ALL.into_iter().find(|f| f.name() == name).ok_or_else(|| {
-                let names = Feature::ALL.map(Feature::name).join(", ");
-                Error::Argument(format!("feature {name}: must be auto, off, or some of {names}"))
-            })
-        };
-        match text {
-            "auto" => Ok(Features::ALL),
-            "off" => Ok(Features::NONE),
-            names => names.split(',').map(feature).collect(),
+    fn name(self) -> &'static str {
+        match self {
+            Feature::Heights => "heights",
+            Feature::Horizon => "horizon",
+            Feature::Bounded => "bounded",
+            Feature::OneLevel => "one-level",
+            Feature::Upright => "upright",
+            Feature::Packed => "packed",
+            Feature::LateColor => "late-color",
         }
     }
 }
 
-impl fmt::Display for Features {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Features::ALL => f.write_str("auto"),
-            Features::NONE => f.write_str("off"),
-            some => f.write_str(&some.iter().map(Feature::name).collect::<Vec<_>>().join(",")),
-        }
-    }
-}
+/// [`Feature`]s that frames may use.
+pub type Features = FeatureSet<Feature>;
 
 /// The features in force for one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

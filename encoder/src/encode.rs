@@ -416,7 +416,7 @@ impl Tiles {
         let mut work = Vec::new();
         let (entry, blob) = if color == ColorMode::Run {
             let exposed = tile.exposed.as_ref().expect("tiles have exposed runs");
-            (_, work) = tile_blob(&tile, WORK, Features::OFF).map_err(too_long)?;
+            (_, work) = tile_blob(&tile, WORK, Features::NONE).map_err(too_long)?;
             let of_voxels = mips::run_colors(tile.geometry(encoding), exposed, &tile.colors);
             let of_voxels = std::mem::replace(&mut tile.colors, of_voxels);
             let made = tile_blob(&tile, modes, features).map_err(too_long)?;
@@ -852,7 +852,7 @@ mod tests {
         for build in modes() {
             let mut sizes = Vec::new();
             let tables = Features::from_iter([Feature::Tables]);
-            for (features, version) in [(Features::OFF, 1), (tables, 3), (Features::ALL, 3)] {
+            for (features, version) in [(Features::NONE, 1), (tables, 3), (Features::ALL, 3)] {
                 let opts = EncodeOptions { features, ..options(build, 1) };
                 encode(&InMemory::new(testing::input(world(), true)), &opts, &whole, &Watch::default()).unwrap();
                 let expected = std::fs::read(&whole).unwrap();
@@ -865,7 +865,7 @@ mod tests {
             assert!(sizes.is_sorted_by(|a, b| a > b), "{build:?} {sizes:?}");
         }
         let opts = |features| EncodeOptions { features, ..options(BuildOptions::default(), 1) };
-        let mut mixed = parts(dir.path(), &opts(Features::OFF), std::slice::from_ref(&(0..5)));
+        let mut mixed = parts(dir.path(), &opts(Features::NONE), std::slice::from_ref(&(0..5)));
         let sub = dir.path().join("sub");
         std::fs::create_dir(&sub).unwrap();
         mixed.extend(parts(&sub, &opts(Features::ALL), std::slice::from_ref(&(5..9))));

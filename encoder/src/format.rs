@@ -183,7 +183,7 @@
 //! # let worlds: [fn(u32, u32, u32) -> bool; 5] = [caves, hills, flat, slopes, raised];
 //! # for (k, world) in (0..40).map(|k| (k, worlds[k / 8])) {
 //! #     let (ny, encoding) = ([40, 300][k % 2], [Encoding::Solid, Encoding::Surface][k / 2 % 2]);
-//! #     let features = [Features::OFF, Features::ALL][k / 4 % 2];
+//! #     let features = [Features::NONE, Features::ALL][k / 4 % 2];
 //! #     let columns = Columns::from_fn(270, ny, 9, world);
 //! #     let input = Input { columns, colors: Colors::None, notes: Vec::new() };
 //! #     let mut file = std::io::Cursor::new(Vec::new());

@@ -3,10 +3,8 @@
 //!
 //! The bytes are described in [`crate::format`].
 
-use std::fmt;
-use std::str::FromStr;
-
 use crate::column_rle::Form;
+use crate::features::{FeatureSet, Named};
 use crate::format::Section;
 use crate::{Columns, Run};
 
@@ -26,9 +24,12 @@ pub enum Feature {
 
 impl Feature {
     pub const ALL: [Feature; 4] = [Feature::Heights, Feature::Lists, Feature::Tables, Feature::Colors];
+}
 
-    /// As on the command line.
-    pub fn name(self) -> &'static str {
+impl Named for Feature {
+    const ALL: &'static [Feature] = &Feature::ALL;
+
+    fn name(self) -> &'static str {
         match self {
             Feature::Heights => "heights",
             Feature::Lists => "lists",
@@ -38,71 +39,8 @@ impl Feature {
     }
 }
 
-/// A set of [`Feature`]s that tiles may use; all by default.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Features(u8);
-
-impl Features {
-    pub const ALL: Features = Features((1 << Feature::ALL.len()) - 1);
-    /// The general layout, as of version 1.
-    pub const OFF: Features = Features(0);
-
-    pub fn has(self, feature: Feature) -> bool {
-        self.0 >> feature as u8 & 1 == 1
-    }
-
-    pub(crate) fn code(self) -> u8 {
-        self.0
-    }
-
-    pub(crate) fn from_code(code: u8) -> Option<Features> {
-        (code <= Features::ALL.0).then_some(Features(code))
-    }
-}
-
-impl Default for Features {
-    fn default() -> Features {
-        Features::ALL
-    }
-}
-
-impl FromIterator<Feature> for Features {
-    fn from_iter<T: IntoIterator<Item = Feature>>(features: T) -> Features {
-        Features(features.into_iter().fold(0, |bits, f| bits | 1 << f as u8))
-    }
-}
-
-impl FromStr for Features {
-    type Err = String;
-
-    fn from_str(s: &str) -> Result<Features, String> {
-        match s {
-            "auto" => return Ok(Features::ALL),
-            "off" => return Ok(Features::OFF),
-            _ => {}
-        }
-        let feature = |name: &str| {
-            Feature::ALL.into_iter().find(|f| f.name() == name).ok_or_else(|| {
-                let names = Feature::ALL.map(Feature::name).join(", ");
-                format!("{name:?} is no feature; expected auto, off, or some of {names} with commas between")
-            })
-        };
-        s.split(',').map(feature).collect()
-    }
-}
-
-impl fmt::Display for Features {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Features::ALL => write!(f, "auto"),
-            Features::OFF => write!(f, "off"),
-            _ => {
-                let names = Feature::ALL.into_iter().filter(|&x| self.has(x)).map(Feature::name);
-                write!(f, "{}", names.collect::<Vec<_>>().join(","))
-            }
-        }
-    }
-}
+/// [`Feature`]s that tiles may use. None is the general layout, as of version 1.
+pub type Features = FeatureSet<Feature>;
 
 /// How a table tells where a column starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

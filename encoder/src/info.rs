@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
+use crate::features::Named;
 use crate::format::{self, Section, TileEntry};
 use crate::forms::{Forms, Lists, Painted, Table};
 use crate::read::{Blob, Modes};
@@ -354,7 +355,7 @@ mod tests {
 
     /// In the general layout.
     fn of(scene: &Scene) -> Info {
-        with(scene, Features::OFF)
+        with(scene, Features::NONE)
     }
 
     fn with(scene: &Scene, features: Features) -> Info {

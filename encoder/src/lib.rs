@@ -26,6 +26,7 @@ pub mod decode;
 pub mod encode;
 pub mod error;
 pub mod exposure;
+pub mod features;
 pub mod format;
 pub mod forms;
 pub mod info;

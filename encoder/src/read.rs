@@ -1053,13 +1053,13 @@ mod tests {
 
     /// In the general layout.
     fn written(scene: &Scene) -> Vec<u8> {
-        written_with(scene, Features::OFF)
+        written_with(scene, Features::NONE)
     }
 
     fn features() -> impl Iterator<Item = Features> {
         let single = Feature::ALL.map(|f| Features::from_iter([f]));
         let without = Feature::ALL.map(|f| Feature::ALL.into_iter().filter(|&other| other != f).collect());
-        [Features::OFF, Features::ALL].into_iter().chain(single).chain(without)
+        [Features::NONE, Features::ALL].into_iter().chain(single).chain(without)
     }
 
     fn opened(bytes: Vec<u8>) -> Result<PcastFile> {
@@ -1213,7 +1213,7 @@ mod tests {
         });
         for mode in MODES {
             let scene = Scene { mip_rule: MipRule::Majority, ..scene(columns.clone(), mode) };
-            for features in [Features::OFF, Features::ALL] {
+            for features in [Features::NONE, Features::ALL] {
                 let file = opened(written_with(&scene, features)).unwrap();
                 assert!(file.read_scene().unwrap() == scene, "{mode:?}");
                 let solid = |x, y, z| file.query(x, y, z).unwrap().solid;
@@ -1225,7 +1225,7 @@ mod tests {
             for low in [0, 1, 65_535, 65_536] {
                 let full = Columns::from_fn(2, 65_536, 1, |x, y, _| x == 1 || y < low);
                 let scene = self::scene(full, mode);
-                for features in [Features::OFF, Features::ALL] {
+                for features in [Features::NONE, Features::ALL] {
                     let file = opened(written_with(&scene, features)).unwrap();
                     assert!(file.read_scene().unwrap() == scene, "{mode:?} {low}");
                     for y in [0, 1, 32_767, 65_534, 65_535] {
@@ -1276,7 +1276,7 @@ mod tests {
         let only_heights = written_with(&scene, Features::from_iter([Feature::Heights, Feature::Lists]));
         let file = opened(only_heights).unwrap();
         assert_eq!(file.entries()[0].flags, 0);
-        for (features, version) in [(Features::OFF, 1), (Features::ALL, 3)] {
+        for (features, version) in [(Features::NONE, 1), (Features::ALL, 3)] {
             assert_eq!(written_with(&scene, features)[8], version);
         }
     }
@@ -1337,7 +1337,7 @@ mod tests {
 
     #[test]
     fn pcast_stores_equal_tiles_once() {
-        for features in [Features::OFF, Features::ALL] {
+        for features in [Features::NONE, Features::ALL] {
             let bytes = written_with(&scene(Columns::from_fn(1024, 9, 512, |_, y, _| y < 5), MODES[0]), features);
             let file = opened(bytes).unwrap();
             let offsets: Vec<u64> = file.entries()[..8].iter().map(|e| e.offset).collect();
@@ -1356,7 +1356,7 @@ mod tests {
                 let blob = file.blob(0, 0, 0).unwrap().unwrap();
                 for section in Section::ALL {
                     let present = section.present(mode.0, mode.1);
-                    assert!(present == (blob.offset(section) > 0) || features != Features::OFF);
+                    assert!(present == (blob.offset(section) > 0) || features != Features::NONE);
                     assert_eq!(blob.offset(section) % 16, 0);
                 }
             }
@@ -1366,7 +1366,7 @@ mod tests {
     #[test]
     fn pcast_compressed_tiles_hold_the_same_and_damage_to_them_is_found() {
         for mode in MODES {
-            let (features, version) = if mode.1 == ColorMode::Run { (Features::ALL, 3) } else { (Features::OFF, 2) };
+            let (features, version) = if mode.1 == ColorMode::Run { (Features::ALL, 3) } else { (Features::NONE, 2) };
             let scene = scene(small(), mode);
             let plain = opened(written_with(&scene, features)).unwrap();
             let mut bytes = std::io::Cursor::new(Vec::new());
@@ -1415,7 +1415,7 @@ mod tests {
 
     #[test]
     fn pcast_damage_to_any_byte_is_found() {
-        let worlds = [(small(), Features::OFF), (small(), Features::ALL), (small_heights(), Features::ALL)];
+        let worlds = [(small(), Features::NONE), (small(), Features::ALL), (small_heights(), Features::ALL)];
         for (mode, (world, features)) in MODES.into_iter().flat_map(|m| worlds.clone().map(|w| (m, w))) {
             let scene = scene(world, mode);
             let good = written_with(&scene, features);
@@ -1443,9 +1443,9 @@ mod tests {
         let tall = || Columns::from_fn(2, 300, 2, |x, y, _| y % 260 < 3 + x);
         let raised = || Columns::from_fn(18, 300, 2, |x, y, z| y > 260 && (x + y + z) % 9 < 4);
         let worlds = [
-            (small(), Features::OFF),
+            (small(), Features::NONE),
             (small(), Features::ALL),
-            (tall(), Features::OFF),
+            (tall(), Features::NONE),
             (tall(), Features::ALL),
             (raised(), Features::ALL),
             (small_heights(), Features::ALL),

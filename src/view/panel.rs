@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use egui::{Align2, Color32, RichText, Ui};
+use planecast_encoder::features::Named;
 
 use super::control::{Control, Mode};
 use super::drawer::Draws;

@@ -4,6 +4,7 @@ use super::*;
 use planecast::plane_setup::plane_setup;
 use planecast::specialize::{Specialization, Twin};
 use planecast::{Feature, Features};
+use planecast_encoder::features::Named;
 use std::collections::HashSet;
 
 /// Ground of uneven height, with pits down to nothing.
