@@ -10,6 +10,7 @@
 
 override NORMALS: bool = true;
 override OCCLUSION: bool = true;
+override SSAO_SAMPLES: u32 = 10u;
 
 // Stands for the sky; farther than anything drawn.
 const FAR: f32 = 3e38;
