@@ -62,7 +62,7 @@ pub struct EncodeArgs {
     /// Compress tiles with zstd, at this level; such a scene is read more slowly
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
     pub zstd: Option<i32>,
-    /// What tiles may leave out that they do not need: auto (whatever it is), off, or some of heights, lists, tables, colors
+    /// What tiles may leave out that they do not need: auto (whatever it is), off, or some of heights, lists, tables, colors, packed
     #[arg(long, value_name = "off|FEATURE,...", default_value_t)]
     pub specialize: Features,
     /// Only print what there is to do, as JSON: size, and number of tiles of level 0

@@ -69,7 +69,7 @@ pub struct Part {
 struct Tally {
     tiles: u64,
     /// Left out, by [`Feature`].
-    saved: [[u64; 2]; 4],
+    saved: [[u64; 2]; Feature::ALL.len()],
     lists: [u64; 2],
     tables: [u64; 2],
     colors: [u64; 2],
@@ -107,8 +107,11 @@ impl Tally {
         if heights {
             left_out(Feature::Heights, true, saved(&LISTS) + saved(&TABLES));
         } else {
-            left_out(Feature::Lists, lists != Lists::general(blob.ny()), saved(&LISTS));
-            left_out(Feature::Tables, TABLES.into_iter().any(narrow), saved(&TABLES));
+            let packed = matches!(lists, Lists::Packed { .. });
+            let of_lists = if packed { Feature::Packed } else { Feature::Lists };
+            let tables = if TABLES.into_iter().any(narrow) { Feature::Tables } else { of_lists };
+            left_out(of_lists, lists != Lists::general(blob.ny()), saved(&LISTS));
+            left_out(tables, tables == Feature::Tables || saved(&TABLES) > 0, saved(&TABLES));
         }
         match painted {
             Painted::Each => left_out(Feature::Tables, narrow(Section::ColorTable), saved(&[Section::ColorTable])),
@@ -273,6 +276,9 @@ fn specialization(file: &PcastFile, tally: &Tally, equal: [u64; 2], per_level: &
             }
             Feature::Tables => ("wide column tables", "columns take equal bytes, or few enough for a byte a column"),
             Feature::Colors => ("fine colours", "all voxels of a tile, column or run have the same"),
+            Feature::Packed => {
+                ("run lists", "starts and ends of few bits are shorter, and nothing numbers voxels by them")
+            }
         };
         left_out.push(part(what, Some(feature), why, tally.saved[feature as usize], of_tiles));
     }
@@ -424,9 +430,10 @@ mod tests {
                     let saved: u64 = left_out.iter().filter(|p| p.feature.is_some()).map(|p| p.bytes).sum();
                     let case = format!("{color:?} {encoding:?} {features} {left_out:?}");
                     assert_eq!(in_sections(&general) - in_sections(&found), saved, "{case}");
-                    assert!(
-                        saved > 0 || (features, color) == (Features::from_iter([Feature::Colors]), ColorMode::None)
-                    );
+                    let only = |feature| features == Features::from_iter([feature]);
+                    let none = only(Feature::Colors) && color == ColorMode::None
+                        || only(Feature::Packed) && (encoding, color) == (Encoding::Surface, ColorMode::Voxel);
+                    assert_eq!(saved == 0, none, "{case}");
                     let needed: u64 = found.specialization.needed.iter().map(|p| p.bytes).sum();
                     assert!(needed > 0, "{case}");
                 }

@@ -591,6 +591,12 @@ impl<'a> Blob<'a> {
         if !painted {
             return Err(place.error(4, format!("forms {:#x}, with colours that the scene does not have", header.forms)));
         }
+        if let Lists::Packed { bits, .. } = forms.lists
+            && Lists::least_bits(place.modes).is_none_or(|least| bits < least)
+        {
+            let what = format!("forms {:#x}, with packed lists that scenes of this kind do not have", header.forms);
+            return Err(place.error(4, what));
+        }
         let blob = Blob { place, bytes, stored, header, forms, width, depth };
         blob.check_sections()?;
         Ok(blob)
@@ -701,7 +707,7 @@ impl<'a> Blob<'a> {
     fn heights_form(&self) -> Option<(usize, u32)> {
         match self.forms.lists {
             Lists::Heights { bytes, base } => Some((bytes, base)),
-            Lists::Runs { .. } => None,
+            Lists::Runs { .. } | Lists::Packed { .. } => None,
         }
     }
 
@@ -711,12 +717,9 @@ impl<'a> Blob<'a> {
         Some(Heights { width: self.width, depth: self.depth, bytes, base, above, edges })
     }
 
-    /// Form and base of the runs of a tile of lists.
-    fn list_form(&self) -> (Form, u32) {
-        match self.forms.lists {
-            Lists::Runs { form, base } => (form, base),
-            Lists::Heights { .. } => unreachable!("heights are looked at first"),
-        }
+    /// Form and base of the runs of a section, of a tile of lists.
+    fn list_form(&self, section: Section) -> (Form, u32) {
+        self.forms.lists.of(section, self.place.dims[1])
     }
 
     /// All that the tile holds, checked.
@@ -826,7 +829,7 @@ impl<'a> Blob<'a> {
                     _ => Section::Geometry,
                 };
                 let table = if lists == Section::Exposure { Section::ExposureTable } else { Section::GeometryTable };
-                self.column(table, lists, ix).map_or([0; 2], |c| column_rle::count(c.1, self.list_form().0))
+                self.column(table, lists, ix).map_or([0; 2], |c| column_rle::count(c.1, self.list_form(lists).0))
             }
         };
         if color == ColorMode::Voxel && self.forms.painted == Painted::Each { voxels } else { runs }
@@ -851,7 +854,7 @@ impl<'a> Blob<'a> {
     /// All columns of a list, checked.
     fn columns(&self, table: Section, lists: Section) -> Result<Columns> {
         let ny = self.place.dims[1];
-        let (form, base) = self.list_form();
+        let (form, base) = self.list_form(lists);
         let highest = if form == Form::Narrow { (ny - base).min(256) } else { ny - base };
         let n_columns = self.n_columns();
         let mut offsets = Vec::with_capacity(n_columns + 1);
@@ -918,19 +921,20 @@ impl<'a> Blob<'a> {
             let shown = if exposes { heights.find_exposed(ix, y) } else { solid.then_some([0, y as usize]) };
             return Ok((solid, shown));
         }
-        let (form, base) = self.list_form();
-        let Some(y) = y.checked_sub(base) else { return Ok((false, None)) };
+        let (form, base) = self.list_form(Section::Geometry);
+        let Some(above_base) = y.checked_sub(base) else { return Ok((false, None)) };
         let (start, column) = self.column(Section::GeometryTable, Section::Geometry, ix)?;
-        let Some(place) = column_rle::at_or_below(column, form, y) else { return Ok((false, None)) };
+        let Some(place) = column_rle::at_or_below(column, form, above_base) else { return Ok((false, None)) };
         // A forged column's run may start above y.
-        let above = y.checked_sub(place.start).filter(|&above| above < place.len);
+        let above = above_base.checked_sub(place.start).filter(|&above| above < place.len);
         let shown = above.map(|above| [place.run, place.color.wrapping_add(above) as usize]);
         if shown.is_none() {
             return Ok((encoding == Encoding::Surface && self.fill(start / 2 + place.run), None));
         }
         if encoding == Encoding::Solid && color == ColorMode::Voxel {
             let (_, column) = self.column(Section::ExposureTable, Section::Exposure, ix)?;
-            let found = column_rle::find(column, form, y);
+            let (form, base) = self.list_form(Section::Exposure);
+            let found = y.checked_sub(base).and_then(|y| column_rle::find(column, form, y));
             return Ok((true, found.map(|(run, voxel)| [run, voxel as usize])));
         }
         Ok((true, shown))
@@ -1261,7 +1265,10 @@ mod tests {
             assert_eq!(file.bytes[8], 3);
             let lists = |tx| file.blob(0, tx, 0).unwrap().unwrap().forms().lists;
             assert_eq!(lists(0), Lists::Heights { bytes: 1, base: 0 });
-            assert_eq!(lists(1), Lists::Runs { form: Form::Narrow, base: 131 });
+            // Of one run more than half a byte is saved by packing it; colours a voxel ask for lists with a base.
+            let narrow = Lists::Runs { form: Form::Narrow, base: 131 };
+            let packed = Lists::Packed { bits: 8, base: 128 };
+            assert_eq!(lists(1), if mode.1 == ColorMode::Voxel { narrow } else { packed });
             assert_eq!(lists(2), Lists::Heights { bytes: 0, base: 40 });
             let general = opened(written(&scene)).unwrap();
             assert_eq!(general.bytes[8], 1);
@@ -1278,6 +1285,37 @@ mod tests {
         assert_eq!(file.entries()[0].flags, 0);
         for (features, version) in [(Features::NONE, 1), (Features::ALL, 3)] {
             assert_eq!(written_with(&scene, features)[8], version);
+        }
+    }
+
+    #[test]
+    fn pcast_packed_lists_are_taken_where_they_are_shorter_and_nothing_numbers_voxels() {
+        let layers = Columns::from_fn(7, 700, 5, |x, y, z| y > 40 && (y / 24 + x + z) % 3 == 1);
+        for (mode, bits) in MODES.into_iter().zip([Some(10), Some(10), Some(10), Some(10), Some(10), None]) {
+            let scene = scene(layers.clone(), mode);
+            let good = written_with(&scene, Features::ALL);
+            let file = opened(good.clone()).unwrap();
+            let forms = file.blob(0, 0, 0).unwrap().unwrap().forms();
+            let found = match forms.lists {
+                Lists::Packed { bits, base: 32 } => Some(bits),
+                _ => None,
+            };
+            assert_eq!(found, bits, "{mode:?} {forms:?}");
+            // A scene of another kind that claims to have them, or with fewer bits than a fill bit a run asks for.
+            let at = file.entries()[0].offset as usize + 4;
+            let modes = Modes { encoding: mode.0, color: mode.1 };
+            for bits in 4..=17 {
+                let mut bytes = good.clone();
+                let forged = Forms { lists: Lists::Packed { bits, base: 32 }, ..forms };
+                bytes[at..at + 4].copy_from_slice(&forged.pack(700).to_le_bytes());
+                reseal(&mut bytes);
+                let what = "packed lists that scenes of this kind do not have";
+                let allowed = Lists::least_bits(modes).is_some_and(|least| bits >= least);
+                match read(bytes) {
+                    Ok(found) => assert!(found == scene && allowed, "{mode:?} {bits}"),
+                    Err(e) => assert_eq!(!e.to_string().contains(what), allowed, "{mode:?} {bits} {e}"),
+                }
+            }
         }
     }
 
