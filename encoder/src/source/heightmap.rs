@@ -187,7 +187,7 @@ fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<R
 }
 
 /// Decodes an image after checking what it claims against the bytes there are.
-fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
+pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
     let fail = |e: image::ImageError| Error::format(path, format!("image: {e}"));
     guarded(path, "image", || {
         let reader = || {
