@@ -40,6 +40,8 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use crate::pieces::{self, InMemory, Pieces};
+#[cfg(not(target_arch = "wasm32"))]
+use crate::remote;
 use crate::{Error, Input, Result};
 
 /// Highest column that a scene can hold, in voxels.
@@ -183,6 +185,17 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
         return procedural::from_name(name);
     }
+    #[cfg(not(target_arch = "wasm32"))]
+    {
+        let colors = remote::Here::bring(opts.colors.as_slice())?;
+        let opts = ReadOptions { colors: colors.files.into_iter().next(), ..opts.clone() };
+        if remote::is_url(path) { remote::open_pieces(path, &opts) } else { open_local(path, &opts) }
+    }
+    #[cfg(target_arch = "wasm32")]
+    open_local(path, opts)
+}
+
+fn open_local(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if path.is_dir() {
         return folder(path, opts);
     }
@@ -191,6 +204,20 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         World::Volume(volume) => Ok(Box::new(volume.in_file(path, &bytes)?)),
         World::Pieces(pieces) => Ok(pieces),
     }
+}
+
+/// A volume of which `head` has the right length and, as far as its header goes, the right bytes; its values are read from
+/// `object`. None where it is none.
+#[cfg(feature = "object-store")]
+pub(crate) fn remote_volume(
+    url: &Path,
+    head: &[u8],
+    format: Format,
+    object: remote::Object,
+    opts: &ReadOptions,
+) -> Result<Option<Box<dyn Pieces>>> {
+    let volume = volume::in_object(url, head, format, object, opts)?;
+    Ok(volume.map(|volume| Box::new(volume) as Box<dyn Pieces>))
 }
 
 /// A Zarr array; or a folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by
