@@ -22,6 +22,7 @@ mod dem;
 mod heightmap;
 mod heights;
 mod mesh;
+mod pixels;
 mod ply;
 mod points;
 pub mod procedural;
@@ -200,7 +201,7 @@ fn open_local(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         return folder(path, opts);
     }
     let bytes = map(path)?;
-    match find(path, &bytes, opts)? {
+    match find(path, &bytes, true, opts)? {
         World::Volume(volume) => Ok(Box::new(volume.in_file(path, &bytes)?)),
         World::Pieces(pieces) => Ok(pieces),
     }
@@ -280,14 +281,15 @@ impl From<Input> for World<'_> {
 
 /// Reads an input whose file at `path` holds `bytes`.
 pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
-    match find(path, bytes, opts)? {
+    match find(path, bytes, false, opts)? {
         World::Volume(volume) => pieces::whole(&volume),
         World::Pieces(pieces) => pieces::whole(&*pieces),
     }
 }
 
-/// What the file at `path`, which holds `bytes`, is a picture of.
-fn find<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a>> {
+/// What the file at `path`, which holds `bytes`, is a picture of. `in_file` says that there is such a file: large inputs are
+/// read from it, not from `bytes`, a mapping that would grow with what is looked at.
+fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> Result<World<'a>> {
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
@@ -311,7 +313,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
-        && let Some(heights) = volume::npy_heights(path, bytes)?
+        && let Some(heights) = volume::npy_heights(path, bytes, in_file)?
     {
         return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
     }
@@ -326,7 +328,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<World<'a
         Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
         Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
         Format::Heightmap => {
-            let mut map = heightmap::read(path, bytes, opts)?;
+            let mut map = heightmap::read(path, bytes, in_file, opts)?;
             map.notes.append(&mut notes);
             return boxed(Ok(map));
         }

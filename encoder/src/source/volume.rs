@@ -202,23 +202,27 @@ pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
 }
 
 /// A NumPy array of two axes as heights, shape (row, column); None where it has three.
-pub(super) fn npy_heights(path: &Path, bytes: &[u8]) -> Result<Option<Heights>> {
+pub(super) fn npy_heights(path: &Path, bytes: &[u8], in_file: bool) -> Result<Option<Heights>> {
     let (2, stored) = npy_array(path, bytes)? else { return Ok(None) };
-    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data: Data::Slice(data), .. } = stored else {
-        unreachable!("an array that was not unpacked is a slice")
-    };
+    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = stored;
+    // Columns of an array that is stored by columns are gathered from all over it.
+    let data = if in_file && !z_fastest { data.in_file(path, bytes)? } else { data };
     world_dims(path, [width, 1, height], "")?;
     let mut out = Heights::new(width as u32, height as u32)?;
     let n = width as usize;
     with_sample!(dtype, big_endian, |read| {
         let size = dtype.size() as usize;
-        let value = |x: usize, z: usize| {
-            let at = size * if z_fastest { x * height as usize + z } else { z * n + x };
-            read(data[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
-        };
+        let mut buffer = Vec::new();
         // Some rows at a time, so that a large map is not in memory twice.
         for z in (0..height as usize).step_by(64) {
             let end = (z + 64).min(height as usize);
+            let from = if z_fastest { 0 } else { z };
+            let len = if z_fastest { data.len() as usize } else { (end - z) * n * size };
+            let bytes = data.read((from * n * size) as u64, len, &mut buffer)?;
+            let value = |x: usize, z: usize| {
+                let at = size * if z_fastest { x * height as usize + z } else { (z - from) * n + x };
+                read(bytes[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
+            };
             let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
             out.put(0, z as u32, width as u32, &rows)?;
         }
