@@ -14,6 +14,7 @@ use crate::encode::{self, EncodeOptions, Summary, Watch};
 use crate::pieces::{Grey, Pieces};
 use crate::remote::{self, Here, Output};
 use crate::source::{self, ReadOptions};
+use crate::verify::Depth;
 use crate::write::{keep_input, resolved};
 use crate::{
     BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, info, memory, verify,
@@ -261,13 +262,21 @@ pub struct VerifyArgs {
     /// Checksums alone: finds damage, not what a faulty program wrote
     #[arg(long)]
     pub quick: bool,
+    /// Also that exposed voxels are those with an exposed face, as tiles and their neighbours have it; takes longer
+    #[arg(long, conflicts_with = "quick")]
+    pub deep: bool,
 }
 
 impl VerifyArgs {
     pub fn run(&self) -> Result<()> {
         let begun = Instant::now();
         let file = PcastFile::open(&self.scene)?;
-        let found = verify::verify(&file, self.quick);
+        let depth = match (self.quick, self.deep) {
+            (true, _) => Depth::Checksums,
+            (_, true) => Depth::Exposure,
+            _ => Depth::Tiles,
+        };
+        let found = verify::verify(&file, depth);
         let seconds = begun.elapsed().as_secs_f64();
         let rate = file.file_len() as f64 / seconds / 1e9;
         found.faults.iter().for_each(|fault| eprintln!("{fault}"));

@@ -177,6 +177,19 @@ impl ByteCounts {
     }
 }
 
+/// [`Info::content_hash`], from the directory alone: broken tiles have it, too.
+pub fn content_hash(file: &PcastFile) -> String {
+    let mut hash = Xxh3::new();
+    file.dims().iter().for_each(|n| hash.update(&n.to_le_bytes()));
+    hash.update(&[
+        format::encoding_code(file.encoding()),
+        format::color_code(file.color()),
+        format::mip_rule_code(file.mip_rule()),
+    ]);
+    file.entries().iter().for_each(|e| hash.update(&e.checksum.to_le_bytes()));
+    format!("{:016x}", hash.digest())
+}
+
 /// The figures of `file`, after the checksum of every tile was checked.
 pub fn info(file: &PcastFile) -> Result<Info> {
     let mut bytes = ByteCounts::default();
@@ -220,15 +233,6 @@ pub fn info(file: &PcastFile) -> Result<Info> {
     }
     bytes.finish(file.file_len());
 
-    let mut hash = Xxh3::new();
-    file.dims().iter().for_each(|n| hash.update(&n.to_le_bytes()));
-    hash.update(&[
-        format::encoding_code(file.encoding()),
-        format::color_code(file.color()),
-        format::mip_rule_code(file.mip_rule()),
-    ]);
-    file.entries().iter().for_each(|e| hash.update(&e.checksum.to_le_bytes()));
-
     let modes = Modes { encoding: file.encoding(), color: file.color() };
     let tally = distinct
         .into_par_iter()
@@ -252,7 +256,7 @@ pub fn info(file: &PcastFile) -> Result<Info> {
         bytes,
         bytes_per_surface_voxel: (finest.surface_voxels > 0).then(|| geometry as f64 / finest.surface_voxels as f64),
         specialization: specialization(file, &tally, equal, &per_level),
-        content_hash: format!("{:016x}", hash.digest()),
+        content_hash: content_hash(file),
         per_level,
     })
 }

@@ -262,6 +262,19 @@ impl PcastFile {
         Ok(tile)
     }
 
+    /// Checks every byte of one tile, as [`PcastFile::tile`] does.
+    pub(crate) fn check_tile(&self, level: usize, tx: u32, tz: u32) -> Result<()> {
+        let Some(blob) = self.blob(level, tx, tz)? else { return Ok(()) };
+        let entry = &self.entries[self.tile_ix(level, tx, tz)];
+        match blob.heights() {
+            // Nothing but heights: to make columns of them would take longer than to look at them.
+            Some(heights) if !blob.place.modes.shows() && self.color == ColorMode::None => {
+                blob.check_heights(&heights, entry)
+            }
+            _ => blob.check_figures(&blob.level()?, entry),
+        }
+    }
+
     /// The whole scene, every byte of it checked.
     pub fn read_scene(&self) -> Result<Scene> {
         let levels = (0..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
@@ -729,10 +742,7 @@ impl<'a> Blob<'a> {
         let ny = self.place.dims[1];
         let (solid, exposed) = match (self.heights(), encoding) {
             (Some(heights), _) => {
-                if let Some(ix) = (0..self.n_columns()).find(|&ix| heights.height(ix) > ny) {
-                    let what = format!("{} high, at most {ny} was expected", heights.height(ix));
-                    return Err(self.column_error(Section::Geometry, heights.bytes * ix, ix, what));
-                }
+                self.check_highest(&heights)?;
                 (heights.solid(ny), shows.then(|| heights.exposed(ny)))
             }
             (None, Encoding::Surface) => {
@@ -754,9 +764,37 @@ impl<'a> Blob<'a> {
         Ok(level)
     }
 
+    fn check_highest(&self, heights: &Heights) -> Result<()> {
+        let ny = self.place.dims[1];
+        match (0..self.n_columns()).find(|&ix| heights.height(ix) > ny) {
+            None => Ok(()),
+            Some(ix) => {
+                let what = format!("{} high, at most {ny} was expected", heights.height(ix));
+                Err(self.column_error(Section::Geometry, heights.bytes * ix, ix, what))
+            }
+        }
+    }
+
+    /// All that a tile of heights holds that has no exposed voxels and no colours.
+    fn check_heights(&self, heights: &Heights, entry: &TileEntry) -> Result<()> {
+        self.check_highest(heights)?;
+        let (mut n_solid, mut n_runs, mut top) = (0, 0, 0);
+        for h in (0..self.n_columns()).map(|ix| heights.height(ix)) {
+            (n_solid, n_runs, top) = (n_solid + u64::from(h), n_runs + u32::from(h > 0), top.max(h));
+        }
+        let y_min = if n_runs > 0 { 0 } else { u16::MAX };
+        let found = TileEntry { n_solid, n_runs, y_min, y_max: top.saturating_sub(1) as u16, ..*entry };
+        self.check_found(&found, entry)
+    }
+
     pub(crate) fn section(&self, section: Section) -> &[u8] {
         let [offset, len] = self.header.sections[section as usize].map(|n| n as usize);
         &self.bytes[offset..offset + len]
+    }
+
+    #[cfg(test)]
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
     }
 
     /// Of the blob in the file.
@@ -1008,12 +1046,17 @@ impl<'a> Blob<'a> {
             y_max: runs.iter().map(|r| r.last()).max().unwrap_or(0),
             ..*entry
         };
-        if found != *entry {
-            return Err(
-                place.error(0, format!("holds {}, its directory entry says {}", figures(&found), figures(entry)))
-            );
+        self.check_found(&found, entry)
+    }
+
+    fn check_found(&self, found: &TileEntry, entry: &TileEntry) -> Result<()> {
+        match found == entry {
+            true => Ok(()),
+            false => {
+                let what = format!("holds {}, its directory entry says {}", figures(found), figures(entry));
+                Err(self.place.error(0, what))
+            }
         }
-        Ok(())
     }
 }
 
@@ -1031,7 +1074,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::testing::{self, voxel_positions};
+    use crate::testing::{self, reseal, voxel_positions};
     use crate::write::{SceneWriter, write_scene, write_scene_with};
     use crate::{BuildOptions, Feature, Features, build};
 
@@ -1077,28 +1120,6 @@ mod tests {
     /// Text of the error that `bytes` must give.
     fn refused(bytes: Vec<u8>) -> String {
         read(bytes).expect_err("a planted fault must be found").to_string()
-    }
-
-    /// Makes every checksum right again, so that what is behind them is reached.
-    fn reseal(bytes: &mut [u8]) {
-        let header: Header = pod_read_unaligned(&bytes[..64]);
-        let start = header.directory as usize;
-        let Some(end) = start.checked_add(48 * header.n_tiles as usize).filter(|&end| end <= bytes.len()) else {
-            return;
-        };
-        for at in (start..end).step_by(48) {
-            let entry: TileEntry = pod_read_unaligned(&bytes[at..at + 48]);
-            let blob = (entry.offset as usize)
-                .checked_add(entry.len as usize)
-                .and_then(|end| bytes.get(entry.offset as usize..end));
-            if let Some(checksum) = blob.filter(|_| !entry.is_empty()).map(xxh3_64) {
-                bytes[at + 8..at + 16].copy_from_slice(&checksum.to_le_bytes());
-            }
-        }
-        let checksum = xxh3_64(&bytes[start..end]);
-        bytes[48..56].copy_from_slice(&checksum.to_le_bytes());
-        let checksum = xxh3_64(&bytes[..56]);
-        bytes[56..64].copy_from_slice(&checksum.to_le_bytes());
     }
 
     fn check_round_trip(columns: Columns) {
@@ -1258,7 +1279,7 @@ mod tests {
                 let bytes = written_with(&scene, features);
                 let file = opened(bytes.clone()).unwrap();
                 assert!(file.read_scene().unwrap() == scene, "{mode:?} {features}");
-                let report = crate::verify::verify(&file, false);
+                let report = crate::verify::verify(&file, crate::verify::Depth::Exposure);
                 assert!(report.faults.is_empty(), "{mode:?} {features}: {report:?}");
             }
             let file = opened(written_with(&scene, Features::ALL)).unwrap();

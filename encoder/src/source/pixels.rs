@@ -1,12 +1,12 @@
 //! Colours of a map, kept in a file without a name, so that no map need fit into memory. A PNG is read row by row; a JPEG, and a
 //! PNG that is interlaced or has 16 bits, is unpacked whole, 3 to 8 bytes a pixel, and let go.
 
-use std::fs;
+use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
 use super::{heightmap, map};
-use crate::scratch::{self as file, File, read_at, write_at};
+use crate::scratch::{self, File as Unnamed, read_at, write_at};
 use crate::{Error, Result, Rgb};
 
 /// Where the bytes of an image come from.
@@ -18,7 +18,7 @@ pub(super) fn stream<'a>(path: &Path, bytes: &'a [u8], in_file: bool) -> Result<
     if !in_file {
         return Ok(Box::new(Cursor::new(bytes)));
     }
-    let file = fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     Ok(Box::new(BufReader::with_capacity(1 << 18, file)))
 }
 
@@ -69,10 +69,10 @@ fn failed(path: &Path, e: &png::DecodingError) -> Error {
 pub(super) struct Pixels {
     pub width: u32,
     pub height: u32,
-    file: File,
+    file: Unnamed,
 }
 
-fn scratch(action: &'static str) -> impl Fn(std::io::Error) -> Error {
+fn failing(action: &'static str) -> impl Fn(std::io::Error) -> Error {
     move |e| Error::io(std::env::temp_dir(), action, e)
 }
 
@@ -80,9 +80,9 @@ impl Pixels {
     /// From a PNG or JPEG file.
     pub fn read(path: &Path) -> Result<Pixels> {
         let bytes = map(path)?;
-        let file = file::file().map_err(scratch("create a file in"))?;
+        let file = scratch::file().map_err(failing("create a file in"))?;
         let put = |row: u32, width: u32, pixels: &[u8]| {
-            write_at(&file, pixels, 3 * u64::from(row) * u64::from(width)).map_err(scratch("write a file in"))
+            write_at(&file, pixels, 3 * u64::from(row) * u64::from(width)).map_err(failing("write a file in"))
         };
         let png = match bytes.starts_with(b"\x89PNG") {
             true => super::guarded(path, "image", || Png::open(path, stream(path, &bytes, true)?, bytes.len()))?,
@@ -111,8 +111,8 @@ impl Pixels {
             None => {
                 let image = heightmap::decode(path, &bytes)?.into_rgb8();
                 let row = 3 * image.width() as usize;
-                let rows = image.as_raw().chunks_exact(row).zip(0..);
-                rows.map(|(pixels, z)| put(z, image.width(), pixels)).collect::<Result<()>>()?;
+                let mut rows = image.as_raw().chunks_exact(row).zip(0..);
+                rows.try_for_each(|(pixels, z)| put(z, image.width(), pixels))?;
                 [image.width(), image.height()]
             }
         };
@@ -123,7 +123,7 @@ impl Pixels {
     pub fn row(&self, z: u32) -> Result<Vec<Rgb>> {
         let mut row = vec![[0; 3]; self.width as usize];
         let at = 3 * u64::from(z) * u64::from(self.width);
-        read_at(&self.file, row.as_flattened_mut(), at).map_err(scratch("read a file in"))?;
+        read_at(&self.file, row.as_flattened_mut(), at).map_err(failing("read a file in"))?;
         Ok(row)
     }
 }
@@ -158,9 +158,9 @@ mod tests {
                 "{:?}",
                 image.color()
             );
-            let good = fs::read(&path).unwrap();
+            let good = std::fs::read(&path).unwrap();
             for n in 8..good.len() - 16 {
-                fs::write(&path, &good[..n]).unwrap();
+                std::fs::write(&path, &good[..n]).unwrap();
                 assert!(Pixels::read(&path).is_err(), "cut to {n} of {}", good.len());
             }
         }
