@@ -17,6 +17,21 @@
 //!
 //! Every reader takes the whole file as bytes (memory-mapped), checks each size it claims against them before it
 //! asks for memory, and answers bad bytes with an [`Error`], never a panic.
+//!
+//! # Memory
+//!
+//! Whatever the size of the input, these keep to a budget: volumes and stacks (read in stretches, or unpacked into a file
+//! without a name), height maps and colour maps (in such files; read by strips, tiles or rows), clouds of points from LAS
+//! and LAZ (in such files), seeded functions. These are held whole, and bounded by what they are:
+//!
+//! | input | held | at most |
+//! |---|---|---|
+//! | PNG or JPEG that cannot be read by rows | its pixels, while it is unpacked | 3 to 8 bytes a pixel |
+//! | TIFF | a strip or tile of a height map, a page of a stack | 8 bytes a pixel of it |
+//! | meshes | corners, triangles, textures | 24 to 36 bytes a corner, 16 a triangle, 4 a pixel |
+//! | PLY clouds | points | 16 bytes a point |
+//! | `.vxl` | runs and colours | the file's size, thrice |
+//! | `.vox` | voxels of all instances of models | 2³¹ voxels, 2²⁶ columns; 26 bytes a voxel, 8 a column |
 
 mod dem;
 mod heightmap;
