@@ -50,6 +50,7 @@ fn features_built() -> String {
         ("report", cfg!(feature = "report")),
         ("view", cfg!(feature = "view")),
         ("zarr", cfg!(feature = "zarr")),
+        ("object-store", cfg!(feature = "object-store")),
     ];
     let names = |on: bool| {
         let names: Vec<_> = all.iter().filter(|f| f.1 == on).map(|f| f.0).collect();
