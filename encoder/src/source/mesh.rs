@@ -10,7 +10,9 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::spots::{self, Spot};
-use super::texture::{Texture, Wrap};
+use super::texture::Texture;
+#[cfg(feature = "mesh")]
+use super::texture::Wrap;
 use super::{ReadOptions, Up, world_dims};
 use crate::pieces::Pieces;
 use crate::{Error, Input, Result, Rgb};
@@ -30,12 +32,13 @@ pub(super) struct Mesh {
     pub textures: Vec<Texture>,
     /// Place on its picture, v down, one a position; empty without pictures.
     pub uvs: Vec<[f32; 2]>,
-    /// Number of its picture, [`PLAIN`] for none, one a triangle; empty without pictures.
+    /// Number of its picture, `u32::MAX` for none, one a triangle; empty without pictures.
     pub texture_of: Vec<u32>,
     pub notes: Vec<String>,
 }
 
 /// In [`Mesh::texture_of`]: no picture.
+#[cfg(feature = "mesh")]
 const PLAIN: u32 = u32::MAX;
 
 impl Mesh {

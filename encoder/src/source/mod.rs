@@ -43,6 +43,7 @@ mod points;
 pub mod procedural;
 mod spots;
 mod stack;
+#[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
 mod volume;
 mod vox;
