@@ -53,7 +53,7 @@ enum Data<'a> {
     /// The same of an object elsewhere.
     #[cfg(feature = "object-store")]
     Object {
-        object: crate::remote::Object,
+        object: Box<crate::remote::Object>,
         at: u64,
         len: u64,
     },
@@ -171,7 +171,7 @@ pub(super) fn in_object(
     }
     let Data::Slice(values) = data else { unreachable!("nothing of it was unpacked") };
     let at = (values.as_ptr() as usize - bytes.as_ptr() as usize) as u64;
-    let data = Data::Object { object, at, len: values.len() as u64 };
+    let data = Data::Object { object: Box::new(object), at, len: values.len() as u64 };
     Volume::new(path, Stored { dims, z_fastest, dtype, big_endian, scale, data, notes }, opts).map(Some)
 }
 
