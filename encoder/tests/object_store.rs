@@ -190,7 +190,7 @@ fn object_store_parts_are_made_and_joined_to_the_bytes_of_local_files() {
             for (i, tiles) in ["0..1".to_owned(), format!("1..{n_tiles}")].iter().enumerate() {
                 let part = format!("{parts}{i}.part");
                 let text =
-                    ok(dir, port, &[&["encode", input, "--tiles", tiles, "-o", &part], &how(&input[..])[..]].concat());
+                    ok(dir, port, &[&["encode", input, "--tiles", tiles, "-o", &part], &how(input)[..]].concat());
                 assert!(!text.contains("fetched"), "{text}");
             }
             let reads = bucket.lock().unwrap().log.clone();
