@@ -51,6 +51,7 @@ fn features_built() -> String {
         ("report", cfg!(feature = "report")),
         ("view", cfg!(feature = "view")),
         ("zarr", cfg!(feature = "zarr")),
+        ("object-store", cfg!(feature = "object-store")),
     ];
     let names = |on: bool| {
         let names: Vec<_> = all.iter().filter(|f| f.1 == on).map(|f| f.0).collect();
@@ -633,7 +634,7 @@ impl FlyArgs {
         let options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         let file = PcastFile::open(&self.scene)?;
-        let content = info::info(&file)?.content_hash;
+        let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
         let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));

@@ -25,6 +25,7 @@ use crate::specialize::{Feature, Specialization, Twin};
 pub use engine::Shader;
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
+use present::ByteOrder;
 use resident::GpuResident;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
@@ -117,6 +118,9 @@ pub struct GpuRenderer<'a> {
     /// Read-back buffers that no frame is using.
     free: Vec<wgpu::Buffer>,
     shown: present::Shown,
+    /// Of frames that are shown, and of the picture in the buffer `shaded`.
+    live_order: ByteOrder,
+    shaded_order: ByteOrder,
 }
 
 /// Where a frame begins.
@@ -251,7 +255,21 @@ impl<'a> GpuRenderer<'a> {
         });
         let (buffers, pending, free) = (HashMap::new(), VecDeque::new(), Vec::new());
         let shown = present::Shown::default();
-        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free, shown })
+        let (live_order, shaded_order) = Default::default();
+        Ok(GpuRenderer {
+            scene,
+            resident,
+            options,
+            engine,
+            tables,
+            buffers,
+            queries,
+            pending,
+            free,
+            shown,
+            live_order,
+            shaded_order,
+        })
     }
 
     /// The adapter's name, and its driver.
@@ -380,7 +398,7 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
-        match self.draw_from(begin, camera, options, outputs)? {
+        match self.draw_from(begin, camera, options, outputs, ByteOrder::Rgba)? {
             Drawn::Inside(frame) => self.pending.push_back(Pending::Done(frame)),
             Drawn::Sent(sent) => {
                 let Sent { plan, frame, start, setup_ms } = *sent;
@@ -391,7 +409,14 @@ impl<'a> GpuRenderer<'a> {
     }
 
     /// Sends a frame's stages to the device; the picture stays there.
-    fn draw_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Drawn> {
+    fn draw_from(
+        &mut self,
+        begin: Begin<'_>,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+        order: ByteOrder,
+    ) -> Result<Drawn> {
         check(camera, options)?;
         if options.f64_traversal {
             return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
@@ -430,7 +455,7 @@ impl<'a> GpuRenderer<'a> {
                 self.write("image_depth", bytemuck::cast_slice(depth));
             }
         }
-        self.shade(&mut encoder, &plan)?;
+        self.shade(&mut encoder, &plan, order)?;
         if let Some(queries) = &self.queries {
             encoder.resolve_query_set(queries, 0..TIMES, &self.buffers["times"], 0);
         }
@@ -802,17 +827,19 @@ impl GpuRenderer<'_> {
         Ok(())
     }
 
-    fn shade(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
+    fn shade(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan, order: ByteOrder) -> Result<()> {
         let normals = matches!(plan.shading, Shading::Ssn | Shading::Full);
         let occlusion = matches!(plan.shading, Shading::Ssao | Shading::Full);
-        let constants = [
-            ("NORMALS", f64::from(u8::from(normals))),
-            ("OCCLUSION", f64::from(u8::from(occlusion))),
-            ("SSAO_SAMPLES", f64::from(plan.ssao_samples)),
-        ];
+        let on = |b: bool| f64::from(u8::from(b));
+        let bgra = on(order == ByteOrder::Bgra);
+        let samples = f64::from(plan.ssao_samples);
+        let constants =
+            [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
         let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
         let mut pass = self.pass(encoder, "shade", 2);
         self.dispatch(&mut pass, &pipeline, &[], [groups(plan.width, 16), groups(plan.height, 16)]);
+        drop(pass);
+        self.shaded_order = order;
         Ok(())
     }
 
