@@ -194,9 +194,7 @@ impl Canvas {
         self.way = match picture {
             Picture::None => None,
             Picture::OnDevice(drawer) => drawer.with_picture(&mut show),
-            Picture::Here(_) => {
-                self.upload.as_ref().map(|buffer| show(Shaded { buffer, order: ByteOrder::Rgba }))
-            }
+            Picture::Here(_) => self.upload.as_ref().map(|buffer| show(Shaded { buffer, order: ByteOrder::Rgba })),
         };
         let load = if self.way.is_some() { wgpu::LoadOp::Load } else { wgpu::LoadOp::Clear(wgpu::Color::BLACK) };
         {
