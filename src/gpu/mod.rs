@@ -447,9 +447,15 @@ impl<'a> GpuRenderer<'a> {
 /// microsecond: more of them and drivers that reset a device after two seconds would.
 const MAX_STEPS: u64 = 1 << 21;
 
-/// What llvmpipe, the software device, ends every loop after, counted over all loops of a lane; it then draws on with
-/// what it has, so that more turns mean a wrong picture.
+/// Turns after which llvmpipe, the software device, ends every loop, counted over all loops of a lane. It then draws on
+/// with what it has, a wrong picture: walks say when that has happened.
+const SOFTWARE_TURNS: u64 = 65_535;
+
+/// Columns of a walk that is sure to take more, and is not begun.
 const MAX_STEPS_SOFTWARE: u64 = 60_000;
+
+/// What a walk that was cut short says it visited: `CUT_SHORT` in the shaders.
+const CUT_SHORT: u32 = u32::MAX;
 
 /// A frame's sizes and variants.
 struct Plan {
@@ -712,6 +718,7 @@ impl GpuRenderer<'_> {
             ("REPEATS", on(!plan.specialization.has(Feature::Bounded))),
             ("ONE_LEVEL", on(plan.specialization.has(Feature::OneLevel))),
             ("UPRIGHT", on(plan.specialization.has(Feature::Upright))),
+            ("ENDS_LOOPS", on(self.engine.software)),
         ];
         let mut defines = plan.defines();
         let (name, groups) = match plan.kernel {
@@ -849,6 +856,7 @@ impl GpuRenderer<'_> {
             Error::Device(format!("{}: cannot read the frame back ({e}); try --device cpu", self.engine.name))
         };
         mapped.recv().map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
+        let whole;
         {
             let bytes = readback.get_mapped_range(..parts.end).map_err(|e| lost(e.to_string()))?;
             let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
@@ -858,15 +866,15 @@ impl GpuRenderer<'_> {
             if parts.counters > parts.voxel {
                 frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
             }
-            self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
+            whole = self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
         }
         readback.unmap();
         self.free.push(readback);
-        Ok(frame)
+        whole.map(|()| frame)
     }
 
-    /// Fills in what the device counted and timed, from a read-back buffer.
-    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) {
+    /// Fills in what the device counted and timed, from a read-back buffer. An error where walks were cut short.
+    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) -> Result<()> {
         let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
         let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
         let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
@@ -874,6 +882,16 @@ impl GpuRenderer<'_> {
         stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
         let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
         stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+        match counters.iter().filter(|c| c[0] == CUT_SHORT).count() {
+            0 => Ok(()),
+            n => Err(Error::Limit(format!(
+                "kernel {}: {n} of {} walks took more turns than {} allows ({SOFTWARE_TURNS}); try a smaller \
+                 --view-distance or --device cpu",
+                stats.kernel,
+                counters.len(),
+                self.engine.name
+            ))),
+        }
     }
 
     /// Milliseconds by stage; without timestamps only what the host sees.
