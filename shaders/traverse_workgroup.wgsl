@@ -635,25 +635,39 @@ fn resolve(lane: u32, epoch: i32, over: bool) {
     var next = vec2(below0.y, below1.y);
     var live = run != vec2(EMPTY);
     var k = vec2(0u);
-    while (any(live)) {
-        n_runs += select(0u, 1u, live.x) + select(0u, 1u, live.y);
-        let h0 = heights(run & vec2(0xffffu), l);
-        let h1 = heights((run >> vec2(16u)) + 1u, l);
-        let above = h0 >= v1;
-        let shows = live & (h1 > v0) & !above;
-        draw(shows, h0, h1, t0, t1, key + min(k, vec2(RUN_MANY)));
-        live = live & (k < n_more) & (h0 > v0);
-        if (any(live & above & (k == vec2(0u)) & (n_more > vec2(8u)))) {
-            // All above the window: binary search for the first run that reaches down into it.
-            for (var i = 0u; i < 2u; i++) {
-                if (live[i] && above[i]) {
-                    let found = search(l, more[i], n_more[i], v1[i]);
-                    k[i] = found;
-                    live[i] = found < n_more[i];
-                    next[i] = runs(more[i] + min(found + 1u, n_more[i]));
+    // Runs above the window.
+    loop {
+        let above = live & (heights(run & vec2(0xffffu), l) >= v1);
+        if (!any(above)) {
+            break;
+        }
+        n_runs += select(0u, 1u, above.x) + select(0u, 1u, above.y);
+        for (var i = 0u; i < 2u; i++) {
+            if (above[i]) {
+                live[i] = k[i] < n_more[i];
+                if (live[i] && k[i] == 0u && n_more[i] > 8u) {
+                    // Binary search for the first run that reaches down into it.
+                    k[i] = search(l, more[i], n_more[i], v1[i]);
+                    live[i] = k[i] < n_more[i];
+                    next[i] = runs(more[i] + min(k[i] + 1u, n_more[i]));
+                }
+                k[i] += 1u;
+                run[i] = next[i];
+                if (live[i]) {
+                    next[i] = runs(more[i] + min(k[i] + 1u, n_more[i]));
                 }
             }
         }
+    }
+    // And those below it.
+    var h1 = heights((run >> vec2(16u)) + 1u, l);
+    live &= h1 > v0;
+    while (any(live)) {
+        n_runs += select(0u, 1u, live.x) + select(0u, 1u, live.y);
+        let h0 = heights(run & vec2(0xffffu), l);
+        draw(live, h0, h1, t0, t1, key + min(k, vec2(RUN_MANY)));
+        h1 = heights((next >> vec2(16u)) + 1u, l);
+        live = live & (k < n_more) & (h1 > v0);
         k += vec2(1u);
         run = next;
         // On their way while these are drawn.
@@ -710,6 +724,9 @@ fn draw(shows: vec2<bool>, h0: vec2<f32>, h1: vec2<f32>, t0: vec2<f32>, t1: vec2
     reach_hi = select(reach_hi, min(reach_hi, j.x), hangs.x);
     reach_hi = select(reach_hi, min(reach_hi, j.y), hangs.y);
     n_spans += select(0u, 1u, drawn.x) + select(0u, 1u, drawn.y);
+    if (!any(drawn)) {
+        return;
+    }
     // The samples that blocks leave.
     let start = select(j, max(j1 & vec2(~(BLOCK - 1)), closed), rises);
     let end = select(select(j, j1, drawn), min((j + (BLOCK - 1)) & vec2(~(BLOCK - 1)), vec2(hi)), hangs);

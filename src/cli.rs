@@ -643,6 +643,7 @@ impl FlyArgs {
 
         let resident = Resident::with(&scene, self.draw.specialize);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
+        renderer.set_count(self.stats.is_some());
         let film = Film {
             output: &self.output,
             cameras: &cameras,

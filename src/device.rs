@@ -95,6 +95,15 @@ impl<'a> Renderer<'a> {
         Renderer { backend: Backend::Gpu(Box::new(gpu)), fall_back, ahead: Ahead::new() }
     }
 
+    /// Whether frames' figures say how many columns, runs and spans were visited. The CPU counts in any case: it costs nothing.
+    pub fn set_count(&mut self, count: bool) {
+        match &mut self.backend {
+            Backend::Planes(_) | Backend::Exact(_) => _ = count,
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpu) => gpu.set_count(count),
+        }
+    }
+
     /// Draws one frame. After `auto`, a GPU that fails is replaced by the CPU for good, and `tell` hears why.
     pub fn draw(
         &mut self,

@@ -126,7 +126,8 @@ fn spread(mut v: Vec<f64>) -> Spread {
     }
 }
 
-/// Draws all `poses` with each kernel, twice, and times the second round; with each frame alone on the device.
+/// Draws all `poses` with each kernel, once counting work, then twice without, and times the last round; with each frame
+/// alone on the device.
 pub fn flythrough(
     scene: &Scene,
     resident: &Resident,
@@ -161,17 +162,20 @@ pub fn flythrough(
                 gpu.render(camera, options, Outputs::default())?;
             }
         }
+        for camera in poses {
+            let stats = gpu.render(camera, options, Outputs::default())?.stats;
+            bytes_scene_gpu = stats.bytes_scene_gpu;
+            for (sum, n) in work.iter_mut().zip([stats.columns_visited, stats.runs_visited, stats.spans_drawn]) {
+                *sum += n as f64 / poses.len() as f64;
+            }
+        }
+        // Once more without counting: its shaders are others, so they are drawn with once before they are timed.
+        gpu.set_count(false);
         for round in 0..2 {
             for camera in poses {
-                let frame = gpu.render(camera, options, Outputs::default())?;
-                if round == 0 {
-                    continue;
-                }
-                times.push(frame.stats.gpu_ms.expect("frames of the GPU say what they took"));
-                bytes_scene_gpu = frame.stats.bytes_scene_gpu;
-                let stats = [frame.stats.columns_visited, frame.stats.runs_visited, frame.stats.spans_drawn];
-                for (sum, n) in work.iter_mut().zip(stats) {
-                    *sum += n as f64 / poses.len() as f64;
+                let stats = gpu.render(camera, options, Outputs::default())?.stats;
+                if round == 1 {
+                    times.push(stats.gpu_ms.expect("frames of the GPU say what they took"));
                 }
             }
         }

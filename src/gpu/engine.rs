@@ -57,8 +57,23 @@ impl Failure {
     }
 }
 
+/// A shader that frames were drawn with, as text: for what looks at it otherwise than by drawing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shader {
+    /// Of its file, without `.wgsl`.
+    pub name: &'static str,
+    pub defines: Vec<&'static str>,
+    /// Values of its `override` declarations.
+    pub constants: Vec<(&'static str, f64)>,
+    /// In WGSL; its entry point is `main`.
+    pub source: String,
+}
+
 /// A compiled shader and the buffers it binds.
 pub struct Pipeline {
+    name: &'static str,
+    variant: Variant,
+    constants: Vec<(&'static str, f64)>,
     pub pipeline: wgpu::ComputePipeline,
     pub bindings: Vec<(u32, String)>,
 }
@@ -66,8 +81,7 @@ pub struct Pipeline {
 impl Engine {
     /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`, `WGPU_BACKEND`), else the most powerful.
     pub fn new(trusted: bool) -> Result<Engine> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
-        let adapter = Engine::choose(&instance, None)?;
+        let adapter = Engine::choose(&instance(), None)?;
         let info = adapter.get_info();
         let opened = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)));
         let (device, queue) = opened
@@ -185,7 +199,12 @@ impl Engine {
     }
 
     /// The pipeline of a shader variant with its constants, compiled at first use.
-    pub fn pipeline(&mut self, name: &str, variant: &Variant, constants: &[(&str, f64)]) -> Result<Rc<Pipeline>> {
+    pub fn pipeline(
+        &mut self,
+        name: &'static str,
+        variant: &Variant,
+        constants: &[(&'static str, f64)],
+    ) -> Result<Rc<Pipeline>> {
         let key = format!("{name} {variant:?} {constants:?}");
         if let Some(pipeline) = self.pipelines.get(&key) {
             return Ok(pipeline.clone());
@@ -208,9 +227,23 @@ impl Engine {
                 cache: None,
             })
         })?;
-        let pipeline = Rc::new(Pipeline { pipeline, bindings });
+        let pipeline =
+            Rc::new(Pipeline { name, variant: variant.clone(), constants: constants.to_vec(), pipeline, bindings });
         self.pipelines.insert(key, pipeline.clone());
         Ok(pipeline)
+    }
+
+    /// All shaders that were compiled so far, by name.
+    pub fn shaders(&self) -> Vec<Shader> {
+        let shader = |p: &Rc<Pipeline>| Shader {
+            name: p.name,
+            defines: p.variant.defines.clone(),
+            constants: p.constants.clone(),
+            source: shaders::assemble(p.name, &p.variant),
+        };
+        let mut all: Vec<Shader> = self.pipelines.values().map(shader).collect();
+        all.sort_by(|a, b| (a.name, &a.defines).cmp(&(b.name, &b.defines)));
+        all
     }
 
     /// A shader module; the one place where wgpu's runtime checks may be left out.
@@ -226,6 +259,22 @@ impl Engine {
         // draws the same pictures with the checks on.
         unsafe { self.device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
     }
+}
+
+/// The drivers of this machine, loaded once: NVIDIA's runs out of something when it has been loaded some thirty times.
+#[cfg(not(target_arch = "wasm32"))]
+pub fn instance() -> wgpu::Instance {
+    static INSTANCE: std::sync::OnceLock<wgpu::Instance> = std::sync::OnceLock::new();
+    INSTANCE.get_or_init(new_instance).clone()
+}
+
+#[cfg(target_arch = "wasm32")]
+pub fn instance() -> wgpu::Instance {
+    new_instance()
+}
+
+fn new_instance() -> wgpu::Instance {
+    wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env())
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {

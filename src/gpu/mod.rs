@@ -22,6 +22,7 @@ use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::resident::Resident;
 use crate::specialize::{Feature, Specialization, Twin};
+pub use engine::Shader;
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
 use resident::GpuResident;
@@ -75,6 +76,9 @@ pub struct GpuOptions {
     /// Whether `workgroup` proves to the compiler that its lanes meet at barriers, which browsers ask for: two more barriers
     /// a decision.
     pub proved_uniform: bool,
+    /// Whether frames' [`Stats`] say how many columns, runs and spans were visited; 0 where not. Counting takes 1 to 2 %.
+    /// Software devices always count: that is how they tell of walks that they cut short.
+    pub count: bool,
     /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
     /// for the kernel's own.
     pub lanes: Option<u32>,
@@ -92,6 +96,7 @@ impl Default for GpuOptions {
             kernel: Kernel::Workgroup,
             trusted: !cfg!(debug_assertions),
             proved_uniform: cfg!(target_arch = "wasm32"),
+            count: true,
             lanes: None,
             in_flight: 3,
             workgroup_memory: u32::MAX,
@@ -221,7 +226,7 @@ impl<'a> GpuRenderer<'a> {
     fn with_engine(
         scene: &'a Scene,
         resident: &'a Resident,
-        options: GpuOptions,
+        mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
     ) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
@@ -237,6 +242,7 @@ impl<'a> GpuRenderer<'a> {
             }
         }
         let engine = engine()?;
+        options.count |= engine.software;
         let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -270,9 +276,19 @@ impl<'a> GpuRenderer<'a> {
         self.engine.software
     }
 
+    /// The shaders that frames so far needed.
+    pub fn shaders(&self) -> Vec<Shader> {
+        self.engine.shaders()
+    }
+
     /// Takes another kernel from the next frame on.
     pub fn set_kernel(&mut self, kernel: Kernel, lanes: Option<u32>) {
         (self.options.kernel, self.options.lanes) = (kernel, lanes);
+    }
+
+    /// Counts work or not ([`GpuOptions::count`]) from the next frame on.
+    pub fn set_count(&mut self, count: bool) {
+        self.options.count = count || self.engine.software;
     }
 
     /// Draws one frame. Frames submitted before are drawn first and must have been collected.
@@ -478,6 +494,7 @@ struct Plan {
     sparse: bool,
     gap_fill: bool,
     n_counters: u32,
+    count: bool,
     shading: Shading,
     specialization: Specialization,
 }
@@ -514,6 +531,7 @@ impl Plan {
             sparse,
             gap_fill: options.gap_fill,
             n_counters: 0,
+            count: gpu.count,
             shading: options.shading,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
@@ -570,6 +588,7 @@ impl Plan {
 
     /// What is read back, with the picture or only the figures.
     fn parts(&self, picture: bool) -> Parts {
+        let n_counters = if self.count { self.n_counters } else { 0 };
         let pixels = if picture { self.pixels() } else { 0 };
         let mut at = 0u64;
         let mut take = |bytes: u64| {
@@ -581,11 +600,11 @@ impl Plan {
             color: take(4 * pixels),
             depth: take(4 * pixels),
             voxel: take(if self.image_voxel { 16 * pixels } else { 0 }),
-            counters: take(12 * u64::from(self.n_counters)),
+            counters: take(12 * u64::from(n_counters)),
             holes: take(4),
             times: take(8 * u64::from(TIMES)),
             end: at,
-            n_counters: self.n_counters as usize,
+            n_counters: n_counters as usize,
         }
     }
 }
@@ -713,6 +732,7 @@ impl GpuRenderer<'_> {
         let mut constants = vec![
             ("PAINT", f64::from(self.tables.paint)),
             ("VOXEL", on(voxel)),
+            ("COUNT", on(self.options.count)),
             ("COARSE", on(culling.coarse)),
             ("WIDTH", f64::from(plan.lanes)),
             ("REPEATS", on(!plan.specialization.has(Feature::Bounded))),
@@ -837,7 +857,7 @@ impl GpuRenderer<'_> {
         copy("shaded", parts.color, 4 * pixels);
         copy("image_depth", parts.depth, 4 * pixels);
         copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
-        copy("scratch", parts.counters, 12 * u64::from(plan.n_counters));
+        copy("scratch", parts.counters, 12 * parts.n_counters as u64);
         copy("holes", parts.holes, 4);
         copy("times", parts.times, 8 * u64::from(TIMES));
         let submission = self.engine.queue.submit([encoder.finish()]);

@@ -327,6 +327,7 @@ mod tests {
     use planecast_encoder::{BuildOptions, build};
 
     use super::*;
+    use crate::gpu::engine::instance;
     use crate::tour::{self, View};
 
     #[test]
@@ -389,8 +390,8 @@ mod tests {
             eprintln!("skipped: PLANECAST_NO_GPU=1");
             return;
         }
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
-        let adapter = Engine::choose(&instance, None).expect("a Vulkan device, software will do (./test installs one)");
+        let adapter =
+            Engine::choose(&instance(), None).expect("a Vulkan device, software will do (./test installs one)");
         let (device, queue) = pollster::block_on(adapter.request_device(&Device::wishes(&adapter))).unwrap();
         let device = Device::new(adapter.get_info(), device, queue);
         let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
