@@ -1023,6 +1023,12 @@ fn main(
         atomicAdd(&counts[1], n_runs);
         atomicAdd(&counts[2], n_spans);
         sync();
+        if (is_cut_short()) {
+            atomicMax(&counts[0], CUT_SHORT);
+        }
+        if (ENDS_LOOPS) {
+            sync();
+        }
         if (lane < 3u) {
             atomicStore(&scratch[3u * index + lane], atomicLoad(&counts[lane]));
         }

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
 use planecast_encoder::write::{keep_input, resolved};
-use planecast_encoder::{Error as FileError, PcastFile, Scene, info};
+use planecast_encoder::{Error as FileError, PcastFile, Scene, guard, info};
 use serde_json::json;
 
 #[cfg(feature = "report")]
@@ -756,7 +756,12 @@ impl ReportArgs {
     fn stability(&self) -> Result<()> {
         std::fs::create_dir_all(&self.output).map_err(|e| FileError::io(&self.output, "make", e))?;
         let rows = stability::run(self.device, &mut tell)?;
-        report::present::write(&self.output, &stability::present::files(&rows))?;
+        let rows = stability::present::with_earlier(&self.output, rows)?;
+        let walks = matches!(self.device, Device::Cpu | Device::Auto).then(stability::walks::walks);
+        if let Some(fault) = walks.as_ref().and_then(|w| w.faults.first()) {
+            return Err(Error::Limit(format!("walks in f32: {fault}")));
+        }
+        report::present::write(&self.output, &stability::present::files(&rows, walks.as_ref()))?;
         match rows.iter().filter(|r| !r.faults.is_empty()).count() {
             0 => Ok(()),
             n => Err(Error::Limit(format!(
@@ -774,11 +779,19 @@ fn stop_on_ctrl_c() -> &'static AtomicBool {
     // A handler that cannot be set leaves Ctrl-C as it was: it ends the program, and whole parts stay.
     _ = ctrlc::set_handler(|| {
         if STOP.swap(true, Ordering::Relaxed) {
-            std::process::exit(1);
+            guard::leave(1);
         }
         eprintln!("stopping: what is drawn is still being saved; Ctrl-C again ends at once");
     });
     &STOP
+}
+
+/// For commands that have nothing to bring to an end: Ctrl-C ends them with one line, and leaves no file that is not whole.
+fn end_on_ctrl_c() {
+    _ = ctrlc::set_handler(|| {
+        eprintln!("planecast: interrupted; what it was to write is as it was before");
+        guard::leave(1);
+    });
 }
 
 impl PickArgs {
@@ -811,6 +824,10 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
             return ExitCode::from(2);
         }
     };
+    guard::explain_lost_files();
+    if !matches!(cli.command, Command::Encode(_) | Command::Merge(_) | Command::Fly(_)) {
+        end_on_ctrl_c();
+    }
     exit(match cli.command {
         Command::Encode(args) => args.run().map_err(Error::from),
         Command::Merge(args) => args.run().map_err(Error::from),

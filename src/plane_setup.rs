@@ -473,6 +473,8 @@ struct World {
     heights: Vec<(f64, f64)>,
     view_distance: f64,
     levels: u32,
+    /// Walks are in f64, not f32.
+    f64_walk: bool,
 }
 
 impl World {
@@ -517,30 +519,31 @@ impl World {
             heights: heights.map(|(k, level)| (height(level.bottom, k), height(level.top, k))).collect(),
             view_distance,
             levels,
+            f64_walk: options.f64_traversal,
         }
     }
 
-    /// Finds where a plane enters and leaves the world, and the column it starts in.
+    /// Finds where a plane enters and leaves the world, and the column it starts in. Where it crosses the world's edges is
+    /// rounded as where it crosses any other grid line: in a larger world, empty around this one, the walk is the same.
     fn clip(&self, plane: &mut Plane) {
         let (mut t_start, mut t_end) = (0.0, self.view_distance);
         let mut entered = None;
         for axis in 0..2 {
             let Some(n) = self.bounds[axis] else { continue };
             let d = plane.dir[axis];
-            let eye = f64::from(self.eye_cell[2 * axis]) + self.eye_fract[2 * axis];
             if d == 0.0 {
-                if eye < 0.0 || eye >= f64::from(n) {
+                if !(0..n).contains(&self.eye_cell[2 * axis]) {
                     t_end = 0.0;
                 }
                 continue;
             }
-            let (near, far) = if d > 0.0 { (0.0, f64::from(n)) } else { (f64::from(n), 0.0) };
-            let t_near = (near - eye) / d;
+            let (near, far) = if d > 0.0 { (0, n) } else { (n, 0) };
+            let t_near = self.cross(plane, axis, near);
             if t_near > t_start {
                 t_start = t_near;
                 entered = Some(axis);
             }
-            t_end = f64::min(t_end, (far - eye) / d);
+            t_end = f64::min(t_end, self.cross(plane, axis, far));
         }
         let (from, to) = self.sight(plane);
         t_end = t_end.min(to);
@@ -561,10 +564,44 @@ impl World {
                         n - 1
                     }
                 }
-                Some(n) => cell.clamp(0.0, f64::from((n - 1).max(0))) as i32,
+                Some(n) => {
+                    let cell = cell.clamp(0.0, f64::from((n - 1).max(0))) as i32;
+                    if entered.is_some() { self.reached(plane, axis, t_start, cell, n) } else { cell }
+                }
                 None => cell as i32,
             };
         }
+    }
+
+    /// Where a plane crosses grid line `line` of an axis that it does not run across, with the walk's own rounding.
+    fn cross(&self, plane: &Plane, axis: usize, line: i32) -> f64 {
+        let (cells, fract) = (line.wrapping_sub(self.eye_cell[2 * axis]), self.eye_fract[2 * axis]);
+        let inverse = 1.0 / plane.dir[axis];
+        if self.f64_walk {
+            return (f64::from(cells) - fract) * inverse;
+        }
+        f64::from((cells as f32 - fract as f32) * inverse as f32)
+    }
+
+    /// The cell that steps of the walk have come to at `t`, `near` it: of lines crossed at once that of x comes first.
+    fn reached(&self, plane: &Plane, axis: usize, t: f64, near: i32, n: i32) -> i32 {
+        let d = plane.dir[axis];
+        if d == 0.0 {
+            return near;
+        }
+        let (step, ahead) = if d > 0.0 { (1, 1) } else { (-1, 0) };
+        let passed = |line: i32| {
+            let at = self.cross(plane, axis, line);
+            if axis == 0 { at <= t } else { at < t }
+        };
+        let mut cell = near;
+        // One step at most: the estimate is out by a rounding.
+        if !passed(cell + 1 - ahead) {
+            cell -= step;
+        } else if passed(cell + ahead) {
+            cell += step;
+        }
+        cell.clamp(0, n - 1)
     }
 
     /// The distances between which a sample's sight line lies within the heights of the world, whatever is drawn. Far above

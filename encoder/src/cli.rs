@@ -17,7 +17,8 @@ use crate::source::{self, ReadOptions};
 use crate::verify::Depth;
 use crate::write::{keep_input, resolved};
 use crate::{
-    BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, info, memory, verify,
+    BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, guard, info, memory,
+    verify,
 };
 
 /// Exit status where the input, the scene or the machine was at fault.
@@ -174,7 +175,7 @@ fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Resul
             match watch {
                 // A second time, at once.
                 Some(watch) if !watch.stop.swap(true, Ordering::Relaxed) => {}
-                _ => std::process::exit(130),
+                _ => guard::leave(130),
             }
         };
         if let Err(e) = ctrlc::set_handler(stop) {

@@ -29,6 +29,7 @@ pub mod exposure;
 pub mod features;
 pub mod format;
 pub mod forms;
+pub mod guard;
 pub mod info;
 pub mod input;
 pub mod memory;

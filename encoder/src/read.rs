@@ -19,6 +19,7 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
 use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, n_edges};
+use crate::guard::Map;
 use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
 
 /// What [`PcastFile::query`] finds.
@@ -57,7 +58,7 @@ fn unzstd(bytes: &[u8]) -> std::io::Result<impl Read> {
 }
 
 enum Bytes {
-    Mapped(memmap2::Mmap),
+    Mapped(Map),
     Owned(Vec<u8>),
 }
 
@@ -84,8 +85,7 @@ impl PcastFile {
         if meta.len() < size_of::<Header>() as u64 {
             return Err(too_short(path, meta.len()));
         }
-        // SAFETY: the map is read-only, and the type's documentation asks that nobody cuts the file short.
-        let map = unsafe { memmap2::Mmap::map(&file) }.map_err(|e| Error::io(path, "map", e))?;
+        let map = Map::new(path, &file).map_err(|e| Error::io(path, "map", e))?;
         PcastFile::new(path, Bytes::Mapped(map))
     }
 

@@ -18,6 +18,8 @@ use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
 use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, GROUP_SHIFTS, HeightBytes, Lists, Painted, Table};
+#[cfg(not(target_arch = "wasm32"))]
+use crate::guard::Passing;
 use crate::read::Modes;
 use crate::{
     ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
@@ -33,6 +35,7 @@ pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Re
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let file = builder.tempfile_in(&folder).map_err(|e| Error::io(path, "create", e))?;
+    let _passing = Passing::new(file.path());
     let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
     write(&mut out)?;
     out.flush().map_err(|e| Error::io(path, "write", e))?;

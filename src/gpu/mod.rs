@@ -78,6 +78,7 @@ pub struct GpuOptions {
     /// a decision.
     pub proved_uniform: bool,
     /// Whether frames' [`Stats`] say how many columns, runs and spans were visited; 0 where not. Counting takes 1 to 2 %.
+    /// Software devices always count: that is how they tell of walks that they cut short.
     pub count: bool,
     /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
     /// for the kernel's own.
@@ -229,7 +230,7 @@ impl<'a> GpuRenderer<'a> {
     fn with_engine(
         scene: &'a Scene,
         resident: &'a Resident,
-        options: GpuOptions,
+        mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
     ) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
@@ -245,6 +246,7 @@ impl<'a> GpuRenderer<'a> {
             }
         }
         let engine = engine()?;
+        options.count |= engine.software;
         let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -304,7 +306,7 @@ impl<'a> GpuRenderer<'a> {
 
     /// Counts work or not ([`GpuOptions::count`]) from the next frame on.
     pub fn set_count(&mut self, count: bool) {
-        self.options.count = count;
+        self.options.count = count || self.engine.software;
     }
 
     /// Draws one frame. Frames submitted before are drawn first and must have been collected.
@@ -483,9 +485,15 @@ impl<'a> GpuRenderer<'a> {
 /// microsecond: more of them and drivers that reset a device after two seconds would.
 const MAX_STEPS: u64 = 1 << 21;
 
-/// What llvmpipe, the software device, ends every loop after, counted over all loops of a lane; it then draws on with
-/// what it has, so that more turns mean a wrong picture.
+/// Turns after which llvmpipe, the software device, ends every loop, counted over all loops of a lane. It then draws on
+/// with what it has, a wrong picture: walks say when that has happened.
+const SOFTWARE_TURNS: u64 = 65_535;
+
+/// Columns of a walk that is sure to take more, and is not begun.
 const MAX_STEPS_SOFTWARE: u64 = 60_000;
+
+/// What a walk that was cut short says it visited: `CUT_SHORT` in the shaders.
+const CUT_SHORT: u32 = u32::MAX;
 
 /// A frame's sizes and variants.
 struct Plan {
@@ -757,6 +765,7 @@ impl GpuRenderer<'_> {
             ("REPEATS", on(!plan.specialization.has(Feature::Bounded))),
             ("ONE_LEVEL", on(plan.specialization.has(Feature::OneLevel))),
             ("UPRIGHT", on(plan.specialization.has(Feature::Upright))),
+            ("ENDS_LOOPS", on(self.engine.software)),
         ];
         let mut defines = plan.defines();
         let (name, groups) = match plan.kernel {
@@ -900,6 +909,7 @@ impl GpuRenderer<'_> {
             Error::Device(format!("{}: cannot read the frame back ({e}); try --device cpu", self.engine.name))
         };
         mapped.recv().map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
+        let whole;
         {
             let bytes = readback.get_mapped_range(..parts.end).map_err(|e| lost(e.to_string()))?;
             let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
@@ -909,15 +919,15 @@ impl GpuRenderer<'_> {
             if parts.counters > parts.voxel {
                 frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
             }
-            self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
+            whole = self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
         }
         readback.unmap();
         self.free.push(readback);
-        Ok(frame)
+        whole.map(|()| frame)
     }
 
-    /// Fills in what the device counted and timed, from a read-back buffer.
-    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) {
+    /// Fills in what the device counted and timed, from a read-back buffer. An error where walks were cut short.
+    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) -> Result<()> {
         let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
         let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
         let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
@@ -925,6 +935,16 @@ impl GpuRenderer<'_> {
         stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
         let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
         stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+        match counters.iter().filter(|c| c[0] == CUT_SHORT).count() {
+            0 => Ok(()),
+            n => Err(Error::Limit(format!(
+                "kernel {}: {n} of {} walks took more turns than {} allows ({SOFTWARE_TURNS}); try a smaller \
+                 --view-distance or --device cpu",
+                stats.kernel,
+                counters.len(),
+                self.engine.name
+            ))),
+        }
     }
 
     /// Milliseconds by stage; without timestamps only what the host sees.

@@ -2,7 +2,10 @@
 //! Without an adapter these tests fail; `PLANECAST_NO_GPU=1` skips them and says so.
 #![cfg(feature = "gpu")]
 
+#[path = "../common/mod.rs"]
+mod common;
 mod compare;
+mod properties;
 mod specialize;
 
 use compare::{Difference, compare};

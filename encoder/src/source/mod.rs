@@ -53,9 +53,9 @@ mod zarr;
 
 use std::fs::{self, File};
 use std::io::Read;
-use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
+use crate::guard::Map;
 use crate::pieces::{self, InMemory, Pieces};
 #[cfg(not(target_arch = "wasm32"))]
 use crate::remote;
@@ -452,7 +452,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
 }
 
 /// A whole file in memory, mapped.
-fn map(path: &Path) -> Result<impl Deref<Target = [u8]> + use<>> {
+fn map(path: &Path) -> Result<Map> {
     // Looked at before it is opened: to open a pipe would wait for its other end.
     let kind = fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     if kind.is_dir() {
@@ -462,9 +462,7 @@ fn map(path: &Path) -> Result<impl Deref<Target = [u8]> + use<>> {
         return Err(Error::format(path, "this is a device or a pipe; expected a file"));
     }
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-    // SAFETY: the mapping is read-only and lives as long as the import. A file that another process shortens
-    // meanwhile ends this one by SIGBUS, the accepted price of not copying volumes larger than memory.
-    unsafe { memmap2::Mmap::map(&file) }.map_err(|e| Error::io(path, "map", e))
+    Map::new(path, &file).map_err(|e| Error::io(path, "map", e))
 }
 
 /// Checks that a world of `dims` (x, y up, z) can be held; `hint` says what to do about one too high.
