@@ -1,6 +1,6 @@
 //! What all targets share: bytes go in, and what comes out is an error or keeps its promises.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bytemuck::pod_read_unaligned;
 use planecast_encoder::format::{Header, TileEntry};
@@ -33,15 +33,57 @@ pub fn import(format: Format, bytes: &[u8]) {
         bytes = rest;
     }
     let_guards_work();
-    let input = if format == Format::Las {
-        // Clouds are read from their files, part by part.
-        let path = std::env::temp_dir().join(format!("planecast-fuzz-{}.las", std::process::id()));
+    let input = if matches!(format, Format::Las | Format::Stack) {
+        // These are read from their files, part by part.
+        let path = passing("file");
         std::fs::write(&path, bytes).expect("a folder for passing files");
         open(&path, &options)
     } else {
         read(Path::new("fuzzed"), bytes, &options)
     };
     if let Ok(input) = input {
+        check(&input);
+    }
+}
+
+/// A place of this process's own in the folder of passing files.
+fn passing(what: &str) -> PathBuf {
+    std::env::temp_dir().join(format!("planecast-fuzz-{}-{what}", std::process::id()))
+}
+
+/// Reads bytes as a Zarr array: the first two choose flags and what the metadata are called, then come the metadata up to
+/// a byte 0, and what is left is each of its chunks.
+pub fn zarr(bytes: &[u8]) {
+    let [flags, iso, bytes @ ..] = bytes else { return };
+    let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
+    let (metadata, chunk) = (&bytes[..end], bytes.get(end + 1..).unwrap_or_default());
+    let (folder, put) = (passing("zarr"), "a folder for passing files");
+    // No chunk of an earlier run stays.
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(folder.join("s0/c/0/0")).expect(put);
+    let write = |name: &str, bytes: &[u8]| std::fs::write(folder.join(name), bytes).expect(put);
+    let array = match (flags & 2 != 0, flags & 4 != 0) {
+        (true, false) => "s0/zarr.json",
+        (true, true) => "s0/.zarray",
+        (false, _) => {
+            // An image: its metadata are fuzzed, its array is not.
+            let array = r#"{"zarr_format":2,"shape":[2,2,2],"chunks":[2,2,2],"dtype":"|u1","compressor":null,
+                "fill_value":0,"order":"C","filters":null}"#;
+            write("s0/.zarray", array.as_bytes());
+            if flags & 4 != 0 { "zarr.json" } else { ".zattrs" }
+        }
+    };
+    write(".zgroup", br#"{"zarr_format":2}"#);
+    write(array, metadata);
+    ["s0/c/0/0/0", "s0/c/0/0/1", "s0/0.0.0", "s0/0.0.1"].iter().for_each(|name| write(name, chunk));
+    let options = ReadOptions {
+        up: (flags & 1 != 0).then_some(Up::Z),
+        iso: Some(f64::from(*iso) - 64.0),
+        ..ReadOptions::default()
+    };
+    let_guards_work();
+    let path = if flags & 2 != 0 { folder.join("s0") } else { folder };
+    if let Ok(input) = open(&path, &options) {
         check(&input);
     }
 }

@@ -258,6 +258,7 @@ fn main(
         atomicStore(&counts[lane], 0u);
     }
     workgroupBarrier();
+    var is_cut = false;
     if (id.x < frame.width && id.y < frame.height) {
         ray = pixel_ray(id.x, id.y);
         inverse = ray_inverse(ray);
@@ -274,9 +275,16 @@ fn main(
             atomicAdd(&counts[0], n_columns);
             atomicAdd(&counts[1], n_runs);
             atomicAdd(&counts[2], select(0u, 1u, hit));
+            is_cut = is_cut_short();
         }
     }
     workgroupBarrier();
+    if (is_cut) {
+        atomicMax(&counts[0], CUT_SHORT);
+    }
+    if (ENDS_LOOPS) {
+        workgroupBarrier();
+    }
     if (COUNT && lane < 3u) {
         let n = (frame.width + WIDTH - 1u) / WIDTH;
         scratch[3u * (group.y * n + group.x) + lane] = atomicLoad(&counts[lane]);

@@ -10,6 +10,7 @@
 
 override NORMALS: bool = true;
 override OCCLUSION: bool = true;
+override SSAO_SAMPLES: u32 = 10u;
 // b comes first, as in most surfaces that show pictures; r otherwise.
 override BGRA: bool = false;
 

@@ -398,7 +398,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
     begin();
     walk();
     if (COUNT) {
-        scratch[3u * id.x] = n_columns;
+        scratch[3u * id.x] = select(n_columns, CUT_SHORT, is_cut_short());
         scratch[3u * id.x + 1u] = n_runs;
         scratch[3u * id.x + 2u] = n_spans;
     }

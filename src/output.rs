@@ -7,6 +7,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use planecast_encoder::guard::Passing;
 use planecast_encoder::{Error, Result};
 use tempfile::NamedTempFile;
 
@@ -16,6 +17,7 @@ use crate::Frame;
 #[must_use = "a file gets its name by finish()"]
 pub struct Pending {
     temp: NamedTempFile,
+    _passing: Passing,
     path: PathBuf,
 }
 
@@ -82,13 +84,14 @@ pub fn write(path: &Path, content: impl FnOnce(&mut BufWriter<&File>) -> io::Res
     check(path)?;
     let path = resolve(path)?;
     let temp = temp_in(&path)?;
+    let passing = Passing::new(temp.path());
     let mut out = BufWriter::with_capacity(1 << 20, temp.as_file());
     content(&mut out)
         .and_then(|()| out.flush())
         .and_then(|()| temp.as_file().sync_all())
         .map_err(|e| Error::io(&path, "write", e))?;
     drop(out);
-    Ok(Pending { temp, path })
+    Ok(Pending { temp, _passing: passing, path })
 }
 
 /// A frame's colours as PNG, 8-bit sRGB.

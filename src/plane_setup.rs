@@ -61,7 +61,9 @@ pub struct Setup {
 pub struct Fan {
     pub first_plane: u32,
     pub n_planes: u32,
-    /// Samples a plane: the image's height for up and down, its width for left and right.
+    /// Pixels along a plane: the image's height for up and down, its width for left and right.
+    pub pixels: u32,
+    /// Samples a plane, evenly along those pixels: as many, unless [`Options::samples`] asks for others.
     pub n_samples: u32,
     /// Start of the fan in the plane buffer.
     pub first_sample: usize,
@@ -157,7 +159,9 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
     for f in 0..4 {
         let far = [0.0, h, 0.0, w][f];
         fans[f].far = far;
-        fans[f].n_samples = if vertical(f) { camera.height } else { camera.width };
+        let pixels = if vertical(f) { camera.height } else { camera.width };
+        fans[f].pixels = pixels;
+        fans[f].n_samples = ((f64::from(pixels) * options.samples).round() as u32).max(1);
         fans[f].spacing = 1.0;
         widths[f] = fan_extent(f, far, vanishing, w, h);
     }
@@ -195,6 +199,8 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
             let mut plane = line(f, at, fan.far, camera, &basis);
             fan.flip = plane.b * plane.c - plane.a * plane.e < 0.0;
             let n = f64::from(fan.n_samples);
+            let per_pixel = n / f64::from(fan.pixels);
+            (plane.a, plane.b) = (plane.a * per_pixel, plane.b * per_pixel);
             if fan.flip {
                 (plane.a, plane.b) = (n * plane.c - plane.a, n * plane.e - plane.b);
             }
@@ -256,6 +262,7 @@ impl Setup {
             && self.planes.len() == camera.width as usize
             && fan.n_planes == camera.width
             && fan.spacing == 1.0
+            && fan.n_samples == fan.pixels
             && camera.roll.rem_euclid(180.0) == 0.0
     }
 }
@@ -377,6 +384,15 @@ impl Fan {
     }
 
     /// The plane of the fan whose stripe holds place `at` of the far edge.
+    /// The sample at whose place pixel `p` along the planes has its centre, counted as pixels are.
+    #[inline]
+    pub fn sample_at(&self, p: u32) -> u32 {
+        if self.n_samples == self.pixels {
+            return p;
+        }
+        ((2 * u64::from(p) + 1) * u64::from(self.n_samples) / (2 * u64::from(self.pixels))) as u32
+    }
+
     #[inline]
     pub fn plane_at(&self, at: f64) -> u32 {
         let k = match self.readjusted {
@@ -411,10 +427,10 @@ fn line(f: usize, at: f64, far: f64, camera: &Camera, basis: &Basis) -> Plane {
 /// Samples of the plane at `at` that pixels can ask for, widened for rounding and for pixels that look beside their place.
 fn window(f: usize, at: f64, stripe: f64, fan: &Fan, vanishing: [f64; 3], w: f64, h: f64) -> (u32, u32) {
     let [vx, vy, vw] = vanishing;
-    let n = i64::from(fan.n_samples);
+    let (n, pixels) = (i64::from(fan.n_samples), f64::from(fan.pixels));
     // Along: the axis samples count along. Across: the axis of the far edge.
     let (v_along, v_across, across_size) = if vertical(f) { (vy, vx, w) } else { (vx, vy, h) };
-    let (mut lo, mut hi) = (0.0, n as f64);
+    let (mut lo, mut hi) = (0.0, pixels);
     // On the fan's side of the vanishing point.
     let main = |s: f64| v_along - s * vw;
     let towards_zero = f == UP || f == LEFT;
@@ -436,7 +452,10 @@ fn window(f: usize, at: f64, stripe: f64, fan: &Fan, vanishing: [f64; 3], w: f64
         lo = lo.max(s0.min(s1).floor() - 2.0);
         hi = hi.min(s0.max(s1).ceil() + 2.0);
     }
-    let (lo, hi) = ((lo.clamp(0.0, n as f64)) as i64, (hi.clamp(0.0, n as f64)) as i64);
+    // From pixels to samples.
+    let per_pixel = n as f64 / pixels;
+    let (lo, hi) = ((lo * per_pixel).floor().clamp(0.0, n as f64), (hi * per_pixel).ceil().clamp(0.0, n as f64));
+    let (lo, hi) = (lo as i64, hi as i64);
     let hi = hi.max(lo);
     let (lo, hi) = if fan.flip { (n - hi, n - lo) } else { (lo, hi) };
     (lo as u32, hi as u32)
@@ -454,6 +473,8 @@ struct World {
     heights: Vec<(f64, f64)>,
     view_distance: f64,
     levels: u32,
+    /// Walks are in f64, not f32.
+    f64_walk: bool,
 }
 
 impl World {
@@ -498,30 +519,31 @@ impl World {
             heights: heights.map(|(k, level)| (height(level.bottom, k), height(level.top, k))).collect(),
             view_distance,
             levels,
+            f64_walk: options.f64_traversal,
         }
     }
 
-    /// Finds where a plane enters and leaves the world, and the column it starts in.
+    /// Finds where a plane enters and leaves the world, and the column it starts in. Where it crosses the world's edges is
+    /// rounded as where it crosses any other grid line: in a larger world, empty around this one, the walk is the same.
     fn clip(&self, plane: &mut Plane) {
         let (mut t_start, mut t_end) = (0.0, self.view_distance);
         let mut entered = None;
         for axis in 0..2 {
             let Some(n) = self.bounds[axis] else { continue };
             let d = plane.dir[axis];
-            let eye = f64::from(self.eye_cell[2 * axis]) + self.eye_fract[2 * axis];
             if d == 0.0 {
-                if eye < 0.0 || eye >= f64::from(n) {
+                if !(0..n).contains(&self.eye_cell[2 * axis]) {
                     t_end = 0.0;
                 }
                 continue;
             }
-            let (near, far) = if d > 0.0 { (0.0, f64::from(n)) } else { (f64::from(n), 0.0) };
-            let t_near = (near - eye) / d;
+            let (near, far) = if d > 0.0 { (0, n) } else { (n, 0) };
+            let t_near = self.cross(plane, axis, near);
             if t_near > t_start {
                 t_start = t_near;
                 entered = Some(axis);
             }
-            t_end = f64::min(t_end, (far - eye) / d);
+            t_end = f64::min(t_end, self.cross(plane, axis, far));
         }
         let (from, to) = self.sight(plane);
         t_end = t_end.min(to);
@@ -542,10 +564,44 @@ impl World {
                         n - 1
                     }
                 }
-                Some(n) => cell.clamp(0.0, f64::from((n - 1).max(0))) as i32,
+                Some(n) => {
+                    let cell = cell.clamp(0.0, f64::from((n - 1).max(0))) as i32;
+                    if entered.is_some() { self.reached(plane, axis, t_start, cell, n) } else { cell }
+                }
                 None => cell as i32,
             };
         }
+    }
+
+    /// Where a plane crosses grid line `line` of an axis that it does not run across, with the walk's own rounding.
+    fn cross(&self, plane: &Plane, axis: usize, line: i32) -> f64 {
+        let (cells, fract) = (line.wrapping_sub(self.eye_cell[2 * axis]), self.eye_fract[2 * axis]);
+        let inverse = 1.0 / plane.dir[axis];
+        if self.f64_walk {
+            return (f64::from(cells) - fract) * inverse;
+        }
+        f64::from((cells as f32 - fract as f32) * inverse as f32)
+    }
+
+    /// The cell that steps of the walk have come to at `t`, `near` it: of lines crossed at once that of x comes first.
+    fn reached(&self, plane: &Plane, axis: usize, t: f64, near: i32, n: i32) -> i32 {
+        let d = plane.dir[axis];
+        if d == 0.0 {
+            return near;
+        }
+        let (step, ahead) = if d > 0.0 { (1, 1) } else { (-1, 0) };
+        let passed = |line: i32| {
+            let at = self.cross(plane, axis, line);
+            if axis == 0 { at <= t } else { at < t }
+        };
+        let mut cell = near;
+        // One step at most: the estimate is out by a rounding.
+        if !passed(cell + 1 - ahead) {
+            cell -= step;
+        } else if passed(cell + ahead) {
+            cell += step;
+        }
+        cell.clamp(0, n - 1)
     }
 
     /// The distances between which a sample's sight line lies within the heights of the world, whatever is drawn. Far above

@@ -487,6 +487,9 @@ fn short(v: f64) -> String {
     format!("{v:.*}", digits as usize)
 }
 
+/// Height of a picture of [`Lines`], in pixels.
+const LINES_HEIGHT: u32 = 440;
+
 impl Lines {
     pub fn svg(&self) -> String {
         let points = || self.series.iter().flat_map(|s| &s.points);
@@ -494,7 +497,7 @@ impl Lines {
         let y = Coordinate::over(self.y.scale, false, points().map(|p| p[1]));
         let color = |s: usize| COLORS[s % COLORS.len()];
         let legend: Vec<_> = self.series.iter().enumerate().map(|(s, l)| (&*l.name, color(s), l.quoted)).collect();
-        svg(440, &self.title, &legend, |area| {
+        svg(LINES_HEIGHT, &self.title, &legend, |area| {
             let mut chart = chart(area, (x, &self.x.label), (y, &self.y.label));
             for (s, series) in self.series.iter().enumerate() {
                 let finite = series.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
@@ -508,9 +511,30 @@ impl Lines {
     }
 }
 
+/// Pictures of [`Lines`] one below the other.
+pub fn stacked(pictures: &[Lines]) -> String {
+    let height = LINES_HEIGHT * pictures.len() as u32;
+    let mut out = format!(
+        "<svg width=\"{WIDTH}\" height=\"{height}\" viewBox=\"0 0 {WIDTH} {height}\" xmlns=\"http://www.w3.org/2000/svg\">\n"
+    );
+    for (k, lines) in pictures.iter().enumerate() {
+        out += &lines.svg().replacen("<svg ", &format!("<svg y=\"{}\" ", LINES_HEIGHT * k as u32), 1);
+    }
+    out + "</svg>\n"
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stacked_pictures_stand_one_below_the_other() {
+        let lines = |title: &str| Lines { title: title.into(), ..Lines::default() };
+        let svg = stacked(&[lines("first"), lines("second")]);
+        assert!(svg.contains("height=\"880\"") && svg.contains("first") && svg.contains("second"), "{svg}");
+        assert_eq!((svg.matches("<svg y=\"0\" ").count(), svg.matches("<svg y=\"440\" ").count()), (1, 1));
+        assert_eq!((svg.matches("<svg ").count(), svg.matches("</svg>").count()), (3, 3));
+    }
 
     #[test]
     fn pareto_keeps_what_nothing_beats() {

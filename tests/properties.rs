@@ -2,83 +2,15 @@
 
 mod common;
 
+use common::any::{BOTH, Clumps, agree, any_camera, check, clumps, same, scaled, without_color};
 use common::compare::{compare, identical, mirrored, sane, with_voxels};
-use common::{MEDIUM, Random, World, caves, hash, hills, odd, plain, poses, room, worlds};
+use common::{MEDIUM, Random, caves, cullings, hills, odd, plain, poses, room, worlds};
 use glam::DVec3;
+use planecast::stability::measure::off;
+use planecast::stability::{self, WorldName};
 use planecast::{Camera, Culling, Frame, Options, Outputs, Planes, Remap, Repeat};
 use planecast_encoder::{BuildOptions, Columns, Input, Scene, build};
 use proptest::prelude::*;
-use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
-
-/// Runs a property on `cases` inputs, the same ones every time.
-fn check<S: Strategy>(cases: u32, inputs: S, property: impl Fn(S::Value) -> Result<(), TestCaseError>) {
-    let config = Config { cases, failure_persistence: None, ..Config::default() };
-    let mut runner = TestRunner::new_with_rng(config, TestRng::from_seed(RngAlgorithm::ChaCha, &[7; 32]));
-    runner.run(&inputs, property).unwrap_or_else(|fault| panic!("{fault}"));
-}
-
-const BOTH: Repeat = Repeat { x: true, z: true };
-
-/// A world of clumps with about `percent` of its voxels solid, before anything is done to it.
-#[derive(Clone, Copy, Debug)]
-struct Clumps {
-    dims: [u32; 3],
-    seed: u32,
-    percent: u32,
-}
-
-impl Clumps {
-    fn solid(&self, x: u32, y: u32, z: u32) -> bool {
-        let at = [x / 2, y / 3, z / 2].map(|v| v as i32);
-        hash(self.seed, at) % 100 < self.percent || y == 0
-    }
-
-    /// With the coordinates of the voxel asked for put through `map`.
-    fn world(&self, dims: [u32; 3], map: impl Fn(u32, u32, u32) -> Option<[u32; 3]> + Sync) -> World {
-        World::new("clumps", dims, |x, y, z| map(x, y, z).is_some_and(|[x, y, z]| self.solid(x, y, z)))
-    }
-}
-
-fn clumps() -> impl Strategy<Value = Clumps> {
-    (4..40u32, 4..30u32, 4..40u32, any::<u32>(), 1..40u32).prop_map(|(nx, ny, nz, seed, percent)| Clumps {
-        dims: [nx, ny, nz],
-        seed,
-        percent,
-    })
-}
-
-/// A camera in a world of size 1 × 1 × 1: to be scaled. Fractions of the eye are multiples of 1/64, so that moving it by whole
-/// voxels loses nothing.
-fn any_camera() -> impl Strategy<Value = (DVec3, [f64; 3], f64)> {
-    let pitch = prop_oneof![4 => -90.0..90.0, 1 => Just(0.0), 1 => Just(-90.0), 1 => Just(90.0)];
-    let roll = prop_oneof![2 => Just(0.0), 2 => -180.0..180.0];
-    let eye = (-0.2..1.2, -0.2..1.4, -0.2..1.2);
-    (eye, 0.0..360.0, pitch, roll, 20.0..100.0)
-        .prop_map(|((x, y, z), yaw, pitch, roll, fov)| (DVec3::new(x, y, z), [yaw, pitch, roll], fov))
-}
-
-fn scaled((eye, [yaw, pitch, roll], fov): (DVec3, [f64; 3], f64), dims: [u32; 3]) -> Camera {
-    let eye = (eye * DVec3::from(dims.map(f64::from)) * 64.0).floor() / 64.0 + DVec3::splat(1.0 / 256.0);
-    Camera { eye, yaw, pitch, roll, fov, width: 60, height: 44 }
-}
-
-/// Frames agree in all but `permille` of the pixels; rounding may decide ties differently.
-fn agree(a: &Frame, b: &Frame, permille: usize) -> Result<(), TestCaseError> {
-    let agreement = compare(a, b);
-    let different = agreement.pixels - agreement.same;
-    prop_assert!(1000 * different <= permille * agreement.pixels, "{} pixels differ: {}", different, agreement);
-    prop_assert!(agreement.depth < 1e-4, "depth {} at {:?}", agreement.depth, agreement.depth_at);
-    Ok(())
-}
-
-fn same(a: &Frame, b: &Frame) -> Result<(), TestCaseError> {
-    identical(a, b).map_err(TestCaseError::fail)
-}
-
-fn without_color(mut frame: Frame) -> Frame {
-    frame.color.fill([0, 0, 0, 255]);
-    frame
-}
 
 #[test]
 fn moving_eye_and_repeated_world_by_whole_periods_changes_no_bit() {
@@ -110,16 +42,14 @@ fn moving_eye_and_repeated_world_by_whole_voxels_changes_no_bit() {
 
 #[test]
 fn moving_eye_and_world_by_whole_voxels_in_all_directions_changes_no_bit() {
-    // The eye above or in the world's columns: where planes enter it from beside, where they enter is rounded.
-    check(60, (clumps(), any_camera(), 0..30u32, 0..30u32, 0..30u32), |(c, (eye, turn, fov), dx, dy, dz)| {
+    check(120, (clumps(), any_camera(), 0..30u32, 0..30u32, 0..30u32), |(c, camera, dx, dy, dz)| {
         let [nx, ny, nz] = c.dims;
         let world = c.world(c.dims, |x, y, z| Some([x, y, z]));
         let moved = c.world([nx + dx + 5, ny + dy + 3, nz + dz + 4], |x, y, z| {
             let [x, y, z] = [x.checked_sub(dx)?, y.checked_sub(dy)?, z.checked_sub(dz)?];
             (x < nx && y < ny && z < nz).then_some([x, y, z])
         });
-        let eye = DVec3::new(eye.x.clamp(0.05, 0.95), eye.y, eye.z.clamp(0.05, 0.95));
-        let camera = scaled((eye, turn, fov), c.dims);
+        let camera = scaled(camera, c.dims);
         let by = DVec3::new(f64::from(dx), f64::from(dy), f64::from(dz));
         let a = without_color(world.render(&camera, &plain()));
         let a = with_voxels(&a, |[x, y, z, l]| [x + dx as i32, y + dy as i32, z + dz as i32, l]);
@@ -155,6 +85,57 @@ fn mirroring_the_world_mirrors_the_picture() {
         // Ties between samples fall to the other side.
         agree(&world.render(&camera, &plain()), &b, 3)
     });
+}
+
+#[test]
+fn culling_never_changes_a_picture_of_any_world() {
+    let switches: Vec<Culling> = cullings().collect();
+    check(250, (clumps(), any_camera(), any_options(), 0..32usize), |(c, camera, options, k)| {
+        let world = c.world(c.dims, |x, y, z| Some([x, y, z]));
+        let camera = scaled(camera, c.dims);
+        let draw = |culling| world.render(&camera, &Options { culling, view_distance: 500.0, ..options });
+        same(&draw(switches[k]), &draw(Culling::NONE))
+    });
+}
+
+/// No more than one pixel in a hundred shows what cannot be seen from there, where planes are pixel columns none.
+#[test]
+fn planes_show_what_exact_shows_of_any_world() {
+    let world_of = |c: &Clumps| {
+        let world = c.world(c.dims, |x, y, z| Some([x, y, z]));
+        stability::World { name: WorldName::Empty, scene: world.scene, resident: world.resident }
+    };
+    let (mut all, mut most) = (0, 0.0f64);
+    let figures = std::cell::RefCell::new((&mut all, &mut most));
+    check(150, (clumps(), any_camera(), any::<bool>()), |(c, camera, level)| {
+        let world = world_of(&c);
+        let mut camera = scaled(camera, c.dims);
+        if level {
+            (camera.pitch, camera.roll) = (0.0, 0.0);
+        }
+        let mut renderer = planecast::CpuRenderer::new(&world.scene, &world.resident);
+        let frame = renderer.render(&camera, &plain(), Outputs { voxel: true }).unwrap();
+        let exact = renderer.exact(&camera, &plain(), Outputs { voxel: true }).unwrap();
+        let wrong = off(&frame, &exact, &world, &camera, &plain()).len();
+        let columns = camera.pitch == 0.0 && camera.roll == 0.0;
+        let share = wrong as f64 / frame.voxel.len() as f64;
+        let mut figures = figures.borrow_mut();
+        *figures.0 += wrong;
+        *figures.1 = figures.1.max(share);
+        let allowed = if columns { 5e-4 } else { 0.01 };
+        prop_assert!(share <= allowed, "{} pixels are off: {:?} {:?}", wrong, c, camera);
+        Ok(())
+    });
+    println!("{all} pixels are off, at most {:.2} % of a picture", 100.0 * most);
+    // Planted: a picture from another place.
+    let c = Clumps { dims: [30, 20, 30], seed: 5, percent: 20 };
+    let world = world_of(&c);
+    let camera = scaled((DVec3::new(0.5, 1.2, 0.5), [20.0, -40.0, 0.0], 60.0), c.dims);
+    let mut renderer = planecast::CpuRenderer::new(&world.scene, &world.resident);
+    let beside = Camera { eye: camera.eye + DVec3::X, ..camera };
+    let frame = renderer.render(&beside, &plain(), Outputs { voxel: true }).unwrap();
+    let exact = renderer.exact(&camera, &plain(), Outputs { voxel: true }).unwrap();
+    assert!(off(&frame, &exact, &world, &camera, &plain()).len() > frame.voxel.len() / 100);
 }
 
 #[test]

@@ -30,6 +30,7 @@ pub mod exposure;
 pub mod features;
 pub mod format;
 pub mod forms;
+pub mod guard;
 pub mod info;
 pub mod input;
 pub mod memory;
@@ -38,6 +39,8 @@ pub mod mips;
 pub mod part;
 pub mod pieces;
 pub mod read;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod remote;
 pub mod run;
 pub mod scene;
 mod scratch;

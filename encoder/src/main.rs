@@ -18,6 +18,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    planecast_encoder::guard::explain_lost_files();
     let done = match Command::parse() {
         Command::Encode(args) => args.run(),
         Command::Merge(args) => args.run(),

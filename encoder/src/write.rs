@@ -18,6 +18,8 @@ use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
 use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, GROUP_SHIFTS, HeightBytes, Lists, Painted, Table};
+#[cfg(not(target_arch = "wasm32"))]
+use crate::guard::Passing;
 use crate::read::Modes;
 use crate::{
     ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
@@ -33,6 +35,7 @@ pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Re
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let file = builder.tempfile_in(&folder).map_err(|e| Error::io(path, "create", e))?;
+    let _passing = Passing::new(file.path());
     let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
     write(&mut out)?;
     out.flush().map_err(|e| Error::io(path, "write", e))?;
@@ -362,18 +365,28 @@ impl Blob {
         let (solid, geometry) = (&tile.solid, tile.geometry(modes.encoding));
         let exposed =
             tile.exposed.as_ref().filter(|_| modes == Modes { encoding: Encoding::Solid, color: ColorMode::Voxel });
+        let kinds = [(Section::Geometry, Some(geometry)), (Section::Exposure, exposed)];
+        let mut choices = vec![self.forms.lists];
         if self.features.has(Feature::Lists) && self.ny > 256 {
-            let bytes = |form: Form| {
-                let lists = [Some(geometry), exposed].into_iter().flatten();
-                lists.map(|of| list_lens(of, form).sum::<usize>()).sum::<usize>()
-            };
-            if heights.end() - heights.start() < 256 {
-                self.forms.lists = Lists::Runs { form: Form::Narrow, base: u32::from(*heights.start()) };
-            } else if bytes(Form::Flat) < bytes(Form::Wide) {
-                self.forms.lists = Lists::Runs { form: Form::Flat, base: 0 };
-            }
+            let narrow = heights.end() - heights.start() < 256;
+            choices.push(match narrow {
+                true => Lists::Runs { form: Form::Narrow, base: u32::from(*heights.start()) },
+                false => Lists::Runs { form: Form::Flat, base: 0 },
+            });
         }
-        let made = [Some(geometry), exposed].map(|of| of.map(|of| self.encoded(of)));
+        if self.features.has(Feature::Packed) {
+            choices.extend(Lists::packed(modes, &heights));
+        }
+        if choices.len() > 1 {
+            let bytes = |lists: &Lists| {
+                let len = |(section, of): (Section, Option<&Columns>)| {
+                    of.map_or(0, |of| list_lens(of, lists.of(section, self.ny).0).sum::<usize>())
+                };
+                kinds.into_iter().map(len).sum::<usize>()
+            };
+            self.forms.lists = choices.into_iter().min_by_key(bytes).expect("the general layout is one");
+        }
+        let made = kinds.map(|(section, of)| of.map(|of| self.encoded(section, of)));
         if self.features.has(Feature::Tables) {
             // One size of group for both tables, small enough for both.
             let fits =
@@ -416,10 +429,8 @@ impl Blob {
     }
 
     /// The lists of all columns, and where each starts.
-    fn encoded(&self, of: &Columns) -> (Vec<u64>, Vec<u8>) {
-        let Lists::Runs { form, base } = self.forms.lists else {
-            unreachable!("only tiles without heights have lists")
-        };
+    fn encoded(&self, section: Section, of: &Columns) -> (Vec<u64>, Vec<u8>) {
+        let (form, base) = self.forms.lists.of(section, self.ny);
         let mut starts = Vec::with_capacity(self.n_columns);
         let mut bytes = Vec::with_capacity(4 * of.runs().len());
         let mut lowered = Vec::new();

@@ -10,7 +10,8 @@ struct Fan {
     // Where the fan's stripes stand in `lines`, or NONE where they are all of one width.
     bounds: u32,
     spacing: f32,
-    _pad0: u32,
+    // Pixels along a plane.
+    pixels: u32,
 }
 
 struct Frame {
@@ -52,3 +53,25 @@ struct Frame {
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
+
+// A device that ends loops after a number of turns and then goes on with what it has.
+override ENDS_LOOPS: bool = false;
+
+// What a walk that such a device has cut short says it visited.
+const CUT_SHORT: u32 = 0xffffffffu;
+
+// Whether the device has ended a loop of this invocation early: then it ends every later one after a turn or two, this one of
+// eight or nine too. (How many it has must not be known to a compiler, nor be bounded: it would unroll the loop.)
+fn is_cut_short() -> bool {
+    if (!ENDS_LOOPS) {
+        return false;
+    }
+    var turns = 0u;
+    loop {
+        turns += 1u;
+        if (turns > 7u + frame.fans[0].flip) {
+            break;
+        }
+    }
+    return turns < 8u;
+}

@@ -309,3 +309,42 @@ fn named_adapter(instance: &wgpu::Instance, name: &str) -> Result<wgpu::Adapter>
 fn one_line(text: &str) -> String {
     text.lines().map(str::trim).filter(|l| !l.is_empty()).take(3).collect::<Vec<_>>().join(": ")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_that_a_device_has_not_got_is_an_error_with_the_figure() {
+        if std::env::var_os("PLANECAST_NO_GPU").is_some_and(|v| v == "1") {
+            eprintln!("skipped: PLANECAST_NO_GPU=1");
+            return;
+        }
+        let engine = Engine::new(true).unwrap();
+        // The largest buffers that it allows, until there is no memory for one more; pages that nobody writes cost a
+        // software device nothing.
+        let size = engine.limits.max_buffer_size.min(1 << 40) & !0xffff;
+        let ask = |size: u64| {
+            let what = format!("buffer of {} MiB", size >> 20);
+            engine.checked(&what, || engine.buffer("large", size, wgpu::BufferUsages::STORAGE))
+        };
+        let mut held = Vec::new();
+        let error = loop {
+            match ask(size) {
+                Ok(buffer) => held.push(buffer),
+                Err(e) => break e,
+            }
+            assert!(held.len() < 1000, "{} buffers of {size} bytes", held.len());
+        };
+        println!("after {} buffers: {error}", held.len());
+        let text = error.to_string();
+        assert!(matches!(error, Error::Limit(_)), "{text}");
+        assert!(text.starts_with(&format!("buffer of {} MiB: ", size >> 20)), "{text}");
+        assert!(text.contains("try --device cpu") && text.lines().count() == 1, "{text}");
+        // The device goes on.
+        drop(held);
+        engine.flush().unwrap();
+        ask(1 << 20).unwrap();
+        engine.check().unwrap();
+    }
+}

@@ -78,6 +78,7 @@ pub struct GpuOptions {
     /// a decision.
     pub proved_uniform: bool,
     /// Whether frames' [`Stats`] say how many columns, runs and spans were visited; 0 where not. Counting takes 1 to 2 %.
+    /// Software devices always count: that is how they tell of walks that they cut short.
     pub count: bool,
     /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
     /// for the kernel's own.
@@ -229,7 +230,7 @@ impl<'a> GpuRenderer<'a> {
     fn with_engine(
         scene: &'a Scene,
         resident: &'a Resident,
-        options: GpuOptions,
+        mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
     ) -> Result<GpuRenderer<'a>> {
         if let Some(lanes) = options.lanes {
@@ -245,6 +246,7 @@ impl<'a> GpuRenderer<'a> {
             }
         }
         let engine = engine()?;
+        options.count |= engine.software;
         let tables = GpuResident::new(&engine, resident, options.binding_size)?;
         let queries = engine.tick_ns.map(|_| {
             engine.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -304,7 +306,7 @@ impl<'a> GpuRenderer<'a> {
 
     /// Counts work or not ([`GpuOptions::count`]) from the next frame on.
     pub fn set_count(&mut self, count: bool) {
-        self.options.count = count;
+        self.options.count = count || self.engine.software;
     }
 
     /// Draws one frame. Frames submitted before are drawn first and must have been collected.
@@ -418,11 +420,8 @@ impl<'a> GpuRenderer<'a> {
         order: ByteOrder,
     ) -> Result<Drawn> {
         check(camera, options)?;
-        if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
-            let fixed = shade::SSAO_SAMPLES;
-            return Err(Error::Argument(format!(
-                "the gpu walks in f32 and takes {fixed} occlusion samples; use the cpu"
-            )));
+        if options.f64_traversal {
+            return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
         }
         let start = Instant::now();
         if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
@@ -437,7 +436,7 @@ impl<'a> GpuRenderer<'a> {
         let upload = Upload::new(self.resident, &setup, camera, options);
         let plan = Plan::new(self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
-        self.upload(&upload, camera);
+        self.upload(&upload, camera, options.ssao_samples);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         match begin {
@@ -486,9 +485,15 @@ impl<'a> GpuRenderer<'a> {
 /// microsecond: more of them and drivers that reset a device after two seconds would.
 const MAX_STEPS: u64 = 1 << 21;
 
-/// What llvmpipe, the software device, ends every loop after, counted over all loops of a lane; it then draws on with
-/// what it has, so that more turns mean a wrong picture.
+/// Turns after which llvmpipe, the software device, ends every loop, counted over all loops of a lane. It then draws on
+/// with what it has, a wrong picture: walks say when that has happened.
+const SOFTWARE_TURNS: u64 = 65_535;
+
+/// Columns of a walk that is sure to take more, and is not begun.
 const MAX_STEPS_SOFTWARE: u64 = 60_000;
+
+/// What a walk that was cut short says it visited: `CUT_SHORT` in the shaders.
+const CUT_SHORT: u32 = u32::MAX;
 
 /// A frame's sizes and variants.
 struct Plan {
@@ -513,6 +518,7 @@ struct Plan {
     n_counters: u32,
     count: bool,
     shading: Shading,
+    ssao_samples: u32,
     specialization: Specialization,
 }
 
@@ -550,6 +556,7 @@ impl Plan {
             n_counters: 0,
             count: gpu.count,
             shading: options.shading,
+            ssao_samples: options.ssao_samples,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
         match gpu.kernel {
@@ -564,6 +571,9 @@ impl Plan {
             }
             Kernel::Workgroup => {
                 plan.lanes = gpu.lanes.unwrap_or(workgroup_lanes(plan.pixels())).min(most);
+                // Keys begin at a whole block.
+                let keys = setup.planes.iter().map(|p| (p.end - (p.first & !15)) as u32);
+                plan.longest = keys.max().unwrap_or(0).max(1);
                 let fine = plan.fine();
                 // As the shader lays them out.
                 let ground = plan.specialization.has(Feature::Horizon);
@@ -641,7 +651,7 @@ impl GpuRenderer<'_> {
             ("times", 8 * u64::from(TIMES), U::QUERY_RESOLVE),
             ("planes", u64::from(plan.n_planes) * size_of::<types::Plane>() as u64, U::STORAGE),
             ("lines", plan.lines() + 16 * u64::from(plan.n_planes), U::STORAGE),
-            ("spiral", 8 * 16 * u64::from(shade::SSAO_SAMPLES), U::STORAGE),
+            ("spiral", 8 * 16 * u64::from(plan.ssao_samples), U::STORAGE),
             ("plane_color", if plan.specialization.has(Feature::LateColor) { 0 } else { 4 * planes }, U::STORAGE),
             ("plane_depth", 4 * planes, U::STORAGE),
             ("plane_voxel", if plan.specialization.has(Feature::Packed) { 8 } else { 16 } * plane_voxel, U::STORAGE),
@@ -679,13 +689,13 @@ impl GpuRenderer<'_> {
         Ok(())
     }
 
-    fn upload(&self, upload: &Upload, camera: &Camera) {
+    fn upload(&self, upload: &Upload, camera: &Camera, ssao_samples: u32) {
         self.write("frame", bytemuck::bytes_of(&upload.frame));
         self.write("planes", bytemuck::cast_slice(&upload.planes));
         self.write("lines", bytemuck::cast_slice(&upload.lines));
         self.write_at("lines", size_of_val(&upload.lines[..]) as u64, bytemuck::cast_slice(&upload.stripes));
         self.write("holes", &[0; 4]);
-        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), shade::SSAO_SAMPLES)));
+        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), ssao_samples)));
     }
 
     fn write(&self, name: &str, bytes: &[u8]) {
@@ -755,6 +765,7 @@ impl GpuRenderer<'_> {
             ("REPEATS", on(!plan.specialization.has(Feature::Bounded))),
             ("ONE_LEVEL", on(plan.specialization.has(Feature::OneLevel))),
             ("UPRIGHT", on(plan.specialization.has(Feature::Upright))),
+            ("ENDS_LOOPS", on(self.engine.software)),
         ];
         let mut defines = plan.defines();
         let (name, groups) = match plan.kernel {
@@ -830,7 +841,9 @@ impl GpuRenderer<'_> {
         let occlusion = matches!(plan.shading, Shading::Ssao | Shading::Full);
         let on = |b: bool| f64::from(u8::from(b));
         let bgra = on(order == ByteOrder::Bgra);
-        let constants = [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("BGRA", bgra)];
+        let samples = f64::from(plan.ssao_samples);
+        let constants =
+            [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
         let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
         let mut pass = self.pass(encoder, "shade", 2);
         self.dispatch(&mut pass, &pipeline, &[], [groups(plan.width, 16), groups(plan.height, 16)]);
@@ -896,6 +909,7 @@ impl GpuRenderer<'_> {
             Error::Device(format!("{}: cannot read the frame back ({e}); try --device cpu", self.engine.name))
         };
         mapped.recv().map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
+        let whole;
         {
             let bytes = readback.get_mapped_range(..parts.end).map_err(|e| lost(e.to_string()))?;
             let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
@@ -905,15 +919,15 @@ impl GpuRenderer<'_> {
             if parts.counters > parts.voxel {
                 frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
             }
-            self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
+            whole = self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
         }
         readback.unmap();
         self.free.push(readback);
-        Ok(frame)
+        whole.map(|()| frame)
     }
 
-    /// Fills in what the device counted and timed, from a read-back buffer.
-    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) {
+    /// Fills in what the device counted and timed, from a read-back buffer. An error where walks were cut short.
+    fn figures_of(&self, bytes: &[u8], parts: Parts, stats: &mut Stats, setup_ms: f64, start: Instant) -> Result<()> {
         let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
         let counters: &[[u32; 3]] = bytemuck::cast_slice(part(parts.counters, 12 * parts.n_counters));
         let sum = |i: usize| counters.iter().map(|c| u64::from(c[i])).sum();
@@ -921,6 +935,16 @@ impl GpuRenderer<'_> {
         stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
         let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
         stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+        match counters.iter().filter(|c| c[0] == CUT_SHORT).count() {
+            0 => Ok(()),
+            n => Err(Error::Limit(format!(
+                "kernel {}: {n} of {} walks took more turns than {} allows ({SOFTWARE_TURNS}); try a smaller \
+                 --view-distance or --device cpu",
+                stats.kernel,
+                counters.len(),
+                self.engine.name
+            ))),
+        }
     }
 
     /// Milliseconds by stage; without timestamps only what the host sees.

@@ -193,7 +193,10 @@ impl<'a> GpuRenderer<'a> {
                 break;
             };
             let lost = |e: wgpu::MapRangeError| Error::Device(format!("{}: figures of a frame: {e}", self.engine.name));
-            self.figures_of(&readback.get_mapped_range(..parts.end).map_err(lost)?, parts, &mut stats, setup_ms, start);
+            let bytes = readback.get_mapped_range(..parts.end).map_err(lost)?;
+            // A picture that a software device cut short has been shown by now; the next may be whole.
+            let _ = self.figures_of(&bytes, parts, &mut stats, setup_ms, start);
+            drop(bytes);
             readback.unmap();
             self.shown.free.push(readback);
             latest = Some(stats);

@@ -266,21 +266,36 @@ fn eyes(list: &mut List) {
 fn directions(list: &mut List) {
     let reason = "one crossing parameter is many orders above the other, or infinite";
     for (yaw, name) in [(0.0, "x = 0"), (90.0, "z = 0"), (45.0, "diagonal")] {
-        for (d, what) in
-            [(0.0, "exactly"), (1e-6, "+ 1e-6"), (-1e-9, "- 1e-9"), (1e-13, "+ 1e-13"), (5e-324, "+ subnormal")]
-        {
+        for (d, what) in [(0.0, "exactly"), (1e-6, "+ 1e-6"), (-1e-9, "- 1e-9"), (1e-13, "+ 1e-13")] {
             // On a voxel's edge, so that the middle rays run in grid planes.
             let at = Camera { width: 65, height: 49, ..camera([12.0, 7.5, 9.0], [yaw + d, 0.0, 0.0]) };
             list.add(format!("yaw along {name} {what}"), reason, WorldName::Room, at, plain());
         }
     }
-    list.add(
-        "yaw -0",
-        "a direction's component is -0",
-        WorldName::Room,
-        camera([12.5, 7.5, 9.5], [-0.0, -0.0, -0.0]),
-        plain(),
-    );
+    // On a voxel's corner, rays through the middle of an odd size: components are what the angles' sines are.
+    for (yaw, pitch, what) in [
+        (-0.0, -0.0, "-0 along x and up"),
+        (180.0, -0.0, "-0 along x, backwards"),
+        (270.0, 0.0, "-0 along z"),
+        (1e-307, 0.0, "subnormal along x"),
+        (-1e-307, 1e-307, "subnormal and negative along x, subnormal up"),
+        (90.0, -1e-307, "subnormal down"),
+        (1e-38, 0.0, "subnormal in f32 along x"),
+        (-1e-38, -1e-38, "subnormal in f32 and negative along x and up"),
+        (5e-324, 5e-324, "0 from the least angle"),
+    ] {
+        for [x, z] in [[12.5, 9.5], [12.0, 9.0]] {
+            let at = Camera { width: 65, height: 49, ..camera([x, 7.5, z], [yaw, pitch, 0.0]) };
+            let place = if x == 12.0 { "on an edge" } else { "within a voxel" };
+            let reason = "a direction's component divides as 0 does, or overflows where it is divided by";
+            let name = format!("a direction {what}, eye {place}");
+            list.add(name, reason, WorldName::Room, at, plain());
+        }
+    }
+    for yaw in [135.0, 225.0, 315.0] {
+        let at = Camera { width: 65, height: 49, ..camera([12.0, 7.5, 9.0], [yaw, 0.0, 0.0]) };
+        list.add(format!("yaw along the diagonal {yaw}"), reason, WorldName::Room, at, plain());
+    }
     for yaw in [0.0, 1e-6, 45.0, 45.0 + 1e-9] {
         let at = Camera { width: 65, height: 49, ..camera([256.0, 9.5, 300.0], [yaw, -2.0, 0.0]) };
         list.add(
@@ -399,6 +414,36 @@ fn distances(list: &mut List) {
             .bound_off = FINE;
         }
     }
+    // Seams are multiples of the world's size, as these are.
+    for (name, x) in [("2^24", f64::from(1 << 24)), ("2^30", f64::from(1 << 30)), ("-2^30", -f64::from(1 << 30))] {
+        for (where_, x) in [("on", x), ("one ulp above", x.next_up()), ("one ulp below", x.next_down())] {
+            let eye = [x, 58.3, x];
+            let options = Options { repeat: BOTH, view_distance: 300.0, ..plain() };
+            let at = camera(eye, [40.0, -20.0, 0.0]);
+            list.add(format!("eye {where_} the seam {name}"), reason, WorldName::Rocks, at, options).bound_off = FINE;
+        }
+    }
+    // A world that ends at 2²⁴, where f32 no longer tells columns apart, seen from within, from the end and from beyond.
+    let end = f64::from(1 << 24);
+    for (name, x, yaw) in [
+        ("20 before", end - 20.3, 90.0),
+        ("on", end, 270.0),
+        ("one ulp before", end.next_down(), 270.0),
+        ("20 beyond", end + 20.3, 270.0),
+    ] {
+        for pitch in [0.0, -25.0] {
+            let at = camera([x, 9.2, 1.4], [yaw + 3.0, pitch, 0.0]);
+            let options = Options { view_distance: 400.0, ..plain() };
+            list.add(
+                format!("{name} the world's edge at 2^24, pitch {pitch}"),
+                reason,
+                WorldName::Plank,
+                at,
+                options,
+            )
+            .bound_off = FINE;
+        }
+    }
     for (view, name) in [(180_000.0, "180,000"), (1e7, "10^7")] {
         for pitch in [0.0, -20.0, -90.0] {
             let at = camera([30.3, 80.2, 31.4], [40.0, pitch, 0.0]);
@@ -425,6 +470,7 @@ fn worlds(list: &mut List) {
         ("full column from above", [1.5, 65_546.0, 1.5], [0.0, -90.0, 0.0]),
         ("full column beside", [1.5, 32_768.5, 3.4], [0.0, 0.0, 0.0]),
         ("full column, steeply up along it", [1.5, 10.5, 2.001], [0.0, 89.0, 0.0]),
+        ("full column, level with its top", [1.5, 65_536.0, 3.4], [0.0, 0.0, 0.0]),
         ("32,768 runs from below", [2.5, -10.0, 1.5], [0.0, 90.0, 0.0]),
         ("32,768 runs beside", [2.5, 32_768.5, 3.4], [10.0, -20.0, 0.0]),
         ("32,768 runs, steeply down along them", [2.5, 65_000.5, 2.01], [0.0, -88.0, 0.0]),
@@ -502,13 +548,19 @@ fn worlds(list: &mut List) {
 }
 
 fn level_changes(list: &mut List) {
-    // The wall's face at z = 1, at just the distance where level k begins in the middle plane.
+    // The wall's face at level k − 1 at just the distance where level k begins: eyes further off see the level begin nearer.
     let focal = camera([0.0; 3], [0.0; 3]).focal();
     for k in 1..=2 {
-        let z = 1.0 + focal * f64::from(1 << k);
-        for (z, name) in
-            [(z, "at"), (z.next_up(), "one ulp behind"), (z.next_down(), "one ulp before"), (z - 0.5, "within")]
-        {
+        let z = f64::from(1 << (k - 1)) + focal * f64::from(1 << k);
+        for (z, name) in [
+            (z, "at"),
+            (z.next_down(), "one ulp behind"),
+            (z.next_up(), "one ulp before"),
+            // More than f32 rounds off.
+            (z - 1e-4, "1e-4 behind"),
+            (z + 1e-4, "1e-4 before"),
+            (z + 0.5, "within"),
+        ] {
             for pitch in [0.0, -15.0] {
                 let at = camera([96.4, 48.6, z], [0.0, pitch, 0.0]);
                 let options = Options { lod: Some(1.0), ..plain() };

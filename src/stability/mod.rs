@@ -14,11 +14,14 @@
 //!   ([`crate::plane_setup::Setup::step_bound`]).
 //! - **ulp**: pixels that a change of yaw, of pitch or of the eye by one ulp moves to a voxel that was not within a pixel
 //!   before, beyond those that move in `exact`; and by how many of its own ulps a depth grows beyond what `exact` gains.
+//!
+//! [`walks`] are walks in f32 against walks in f64, over distance.
 
 pub mod catalogue;
 pub mod measure;
 #[cfg(feature = "report")]
 pub mod present;
+pub mod walks;
 pub mod worlds;
 
 pub use catalogue::{Case, Expect, cases};

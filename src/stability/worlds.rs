@@ -24,6 +24,8 @@ pub enum WorldName {
     Tower,
     /// Columns that end at the top of a world 256 high.
     Top,
+    /// 2²⁴ columns long, two wide: slabs, every fourth one higher.
+    Plank,
     /// No two voxels share a face.
     Checkerboard,
     /// One voxel in 300.
@@ -58,6 +60,7 @@ impl WorldName {
             WorldName::Pole => [512, 16, 512],
             WorldName::Tower => [4, 65_536, 4],
             WorldName::Top => [32, 256, 32],
+            WorldName::Plank => [1 << 24, 8, 2],
             WorldName::Checkerboard => [32, 16, 32],
             WorldName::Dust | WorldName::Sheets => [64, 48, 64],
             WorldName::SingleVoxel => [33, 17, 41],
@@ -82,6 +85,7 @@ impl WorldName {
             WorldName::Pole => Box::new(|x, y, z| y == 0 || (x == 256 && z == 256)),
             WorldName::Tower => Box::new(|x, y, z| (x == 1 && z == 1) || (x == 2 && z == 1 && y % 2 == 0)),
             WorldName::Top => Box::new(|x, y, z| y < 8 || (x / 4 + z / 4) % 3 == 0),
+            WorldName::Plank => Box::new(|x, y, _| y < 3 || (x % 4 == 3 && y < 6)),
             WorldName::Checkerboard => Box::new(|x, y, z| (x + y + z) % 2 == 0),
             WorldName::Dust => Box::new(|x, y, z| mix([x, y, z]).is_multiple_of(300)),
             WorldName::SingleVoxel => Box::new(|x, y, z| [x, y, z] == [16, 8, 20]),
@@ -95,6 +99,10 @@ impl WorldName {
             WorldName::Fence => Box::new(|x, y, _| x == 40 && y < 24),
         };
         let columns = Columns::from_fn(nx, ny, nz, solid);
+        if self == WorldName::Plank {
+            // Too many for colours.
+            return self.of(Input { columns, colors: Colors::None, notes: Vec::new() });
+        }
         let colors = Colors::Function(Box::new(|x, y, z| {
             let [r, g, b, _] = mix([x, y, z]).to_le_bytes();
             [r, g, b]

@@ -48,9 +48,7 @@ impl Draws {
     /// Options without what the GPU cannot do, where that draws: switches stay where they are when it changes.
     pub fn options(self, options: &Options) -> Options {
         match self {
-            Draws::Gpu(_) => {
-                Options { f64_traversal: false, ssao_samples: Options::default().ssao_samples, ..*options }
-            }
+            Draws::Gpu(_) => Options { f64_traversal: false, ..*options },
             Draws::Cpu | Draws::Exact => *options,
         }
     }

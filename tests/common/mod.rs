@@ -1,6 +1,7 @@
 //! Small worlds, poses and comparison for the renderer's tests. Nothing here needs a file.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
+pub mod any;
 pub mod compare;
 
 use glam::DVec3;

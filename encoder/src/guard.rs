@@ -1,0 +1,224 @@
+//! What must be said and tidied away where something outside stops the program: a file that is cut short while it is mapped
+//! into memory, and Ctrl-C. A library does nothing of it by itself: a command asks with [`explain_lost_files`].
+
+use std::ffi::{CString, c_char};
+use std::fs::File;
+use std::ops::Deref;
+use std::path::Path;
+use std::sync::atomic::{AtomicPtr, AtomicUsize, Ordering};
+
+/// Files mapped, or being written, at once that are known by name. Of more the name is not told, or they are left.
+const SLOTS: usize = 64;
+
+/// A name that stands for a range of memory, or for itself. Read by a signal's handler, so without locks.
+struct Slot {
+    from: AtomicUsize,
+    to: AtomicUsize,
+    /// A string that ends in 0, its owner the slot's.
+    name: AtomicPtr<c_char>,
+}
+
+/// `from` of a slot that is free, and of one whose range is not known yet.
+const FREE: usize = 0;
+const TAKEN: usize = usize::MAX;
+
+static MAPPED: [Slot; SLOTS] = [const { Slot::new() }; SLOTS];
+static PASSING: [Slot; SLOTS] = [const { Slot::new() }; SLOTS];
+
+impl Slot {
+    const fn new() -> Slot {
+        Slot { from: AtomicUsize::new(FREE), to: AtomicUsize::new(0), name: AtomicPtr::new(std::ptr::null_mut()) }
+    }
+}
+
+/// A slot taken until it is dropped.
+struct Taken(&'static Slot);
+
+impl Taken {
+    fn new(slots: &'static [Slot], name: &Path, from: usize, to: usize) -> Option<Taken> {
+        let name = CString::new(name.as_os_str().as_encoded_bytes()).ok()?;
+        let free = |s: &&Slot| s.from.compare_exchange(FREE, TAKEN, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+        let slot = slots.iter().find(free)?;
+        slot.name.store(name.into_raw(), Ordering::Release);
+        slot.to.store(to, Ordering::Release);
+        slot.from.store(from, Ordering::Release);
+        Some(Taken(slot))
+    }
+}
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        self.0.from.store(TAKEN, Ordering::Release);
+        let name = self.0.name.swap(std::ptr::null_mut(), Ordering::AcqRel);
+        // SAFETY: it came from `CString::into_raw` and is nobody else's now. A handler that reads it ends the program.
+        drop(unsafe { CString::from_raw(name) });
+        self.0.from.store(FREE, Ordering::Release);
+    }
+}
+
+/// A file in memory, mapped.
+pub struct Map {
+    map: memmap2::Mmap,
+    _name: Option<Taken>,
+}
+
+impl Map {
+    /// Maps a whole file, to be read alone.
+    pub fn new(path: &Path, file: &File) -> std::io::Result<Map> {
+        // SAFETY: the map is read-only. Who cuts the file short meanwhile ends the program by SIGBUS, which commands explain;
+        // what reads the bytes must not rely on reading the same twice.
+        let map = unsafe { memmap2::Mmap::map(file) }?;
+        let from = map.as_ptr() as usize;
+        let name = Taken::new(&MAPPED, path, from, from + map.len());
+        Ok(Map { map, _name: name })
+    }
+}
+
+impl Deref for Map {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.map
+    }
+}
+
+/// The name of a file that is not whole yet, removed by [`tidy`]. Dropped, it is kept or somebody else's to remove.
+pub struct Passing {
+    _name: Option<Taken>,
+}
+
+impl Passing {
+    pub fn new(path: &Path) -> Passing {
+        // As the program may go to another folder.
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+        Passing { _name: Taken::new(&PASSING, &path, 1, 1) }
+    }
+}
+
+/// Removes files that are not whole, for a program that is about to end. Safe in a signal's handler.
+#[cfg(not(target_arch = "wasm32"))]
+pub fn tidy() {
+    for slot in &PASSING {
+        let name = slot.name.swap(std::ptr::null_mut(), Ordering::AcqRel);
+        if !name.is_null() {
+            // SAFETY: a string that ends in 0, from now on nobody's.
+            unsafe { libc::unlink(name) };
+        }
+    }
+}
+
+/// Ends the program at once, whatever other threads do, without files that are not whole.
+#[cfg(not(target_arch = "wasm32"))]
+pub fn leave(status: i32) -> ! {
+    tidy();
+    // What runs at a usual exit may wait for those threads.
+    // SAFETY: ends the program.
+    unsafe { libc::_exit(status) }
+}
+
+/// From now on a mapped file that is cut short ends the program with one plain line and status 1. To be called once, by a
+/// command; elsewhere than on Unix a file that is mapped cannot be cut short.
+pub fn explain_lost_files() {
+    #[cfg(unix)]
+    handler::set();
+}
+
+#[cfg(unix)]
+mod handler {
+    use super::{FREE, MAPPED, Slot, TAKEN, leave};
+    use std::sync::atomic::{AtomicPtr, Ordering};
+
+    static BEFORE: AtomicPtr<libc::sigaction> = AtomicPtr::new(std::ptr::null_mut());
+
+    pub fn set() {
+        // SAFETY: all fields that are not set below may be 0; the handler keeps to what handlers may do.
+        unsafe {
+            let mut before: libc::sigaction = std::mem::zeroed();
+            let mut action: libc::sigaction = std::mem::zeroed();
+            action.sa_sigaction = lost as *const () as usize;
+            action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
+            libc::sigemptyset(&mut action.sa_mask);
+            if libc::sigaction(libc::SIGBUS, &action, &mut before) == 0 {
+                BEFORE.store(Box::into_raw(Box::new(before)), Ordering::Release);
+            }
+        }
+    }
+
+    /// Nothing in it but atomics, `write`, `unlink` and `_exit`: another thread may hold any lock.
+    extern "C" fn lost(_: libc::c_int, info: *mut libc::siginfo_t, _: *mut libc::c_void) {
+        // SAFETY: the system gives a handler of this kind where memory was missed.
+        let at = unsafe { (*info).si_addr() } as usize;
+        let holds = |slot: &&Slot| {
+            let from = slot.from.load(Ordering::Acquire);
+            from != FREE && from != TAKEN && (from..slot.to.load(Ordering::Acquire)).contains(&at)
+        };
+        let Some(slot) = MAPPED.iter().find(holds) else {
+            // Not ours: as it would have gone.
+            let before = BEFORE.load(Ordering::Acquire);
+            // SAFETY: what `sigaction` gave; where it did not yet, the default ends the program, as it must.
+            unsafe {
+                match before.is_null() {
+                    true => drop(libc::signal(libc::SIGBUS, libc::SIG_DFL)),
+                    false => drop(libc::sigaction(libc::SIGBUS, before, std::ptr::null_mut())),
+                }
+            }
+            return;
+        };
+        let name = slot.name.load(Ordering::Acquire);
+        say(b"planecast: ");
+        if !name.is_null() {
+            // SAFETY: a string that ends in 0, of the map that is being read.
+            say(unsafe { std::ffi::CStr::from_ptr(name) }.to_bytes());
+        }
+        say(b": byte ");
+        let mut digits = [0; 20];
+        say(decimal((at - slot.from.load(Ordering::Acquire)) as u64, &mut digits));
+        say(b": the file was cut short while it was read; run the command again when nothing writes to it\n");
+        leave(1);
+    }
+
+    fn say(text: &[u8]) {
+        // SAFETY: as many bytes as there are. What is not written was not to be read.
+        let _ = unsafe { libc::write(2, text.as_ptr().cast(), text.len()) };
+    }
+
+    fn decimal(mut n: u64, digits: &mut [u8; 20]) -> &[u8] {
+        let mut at = digits.len();
+        loop {
+            at -= 1;
+            digits[at] = b'0' + (n % 10) as u8;
+            n /= 10;
+            if n == 0 {
+                return &digits[at..];
+            }
+        }
+    }
+
+    #[cfg(test)]
+    mod tests {
+        #[test]
+        fn decimal_writes_all_digits() {
+            for n in [0, 7, 10, 4096, u64::MAX] {
+                assert_eq!(super::decimal(n, &mut [0; 20]), n.to_string().as_bytes());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_are_given_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a");
+        std::fs::write(&path, [7; 100]).unwrap();
+        let file = File::open(&path).unwrap();
+        for _ in 0..3 {
+            let maps: Vec<Map> = (0..2 * SLOTS).map(|_| Map::new(&path, &file).unwrap()).collect();
+            assert!(maps.iter().all(|map| **map == [7; 100]));
+            assert!(maps.iter().filter(|map| map._name.is_some()).count() > SLOTS / 2, "names are kept");
+        }
+    }
+}
