@@ -183,7 +183,8 @@ fn run(scenes: &[String]) -> Result<(), Box<dyn Error>> {
                         let known = driver.ask(&words, &module)?;
                         let known: Vec<_> = known.iter().map(|(name, n)| format!("{name} {n}")).collect();
                         println!(
-                            "{name}, {view}, left out {left_out:?}: {} {}: SPIR-V {} B, {}",
+                            "{name}, {view}, without {}: {} {}: SPIR-V {} B, {}",
+                            if left_out.is_empty() { "nothing".into() } else { left_out.join("+") },
                             shader.name,
                             shader.defines.join("+"),
                             4 * words.len(),

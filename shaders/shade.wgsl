@@ -10,6 +10,9 @@
 
 override NORMALS: bool = true;
 override OCCLUSION: bool = true;
+override SSAO_SAMPLES: u32 = 10u;
+// b comes first, as in most surfaces that show pictures; r otherwise.
+override BGRA: bool = false;
 
 // Stands for the sky; farther than anything drawn.
 const FAR: f32 = 3e38;
@@ -30,6 +33,10 @@ fn depth_at(x: i32, y: i32) -> f32 {
 fn pack(c: vec3<f32>) -> u32 {
     let byte = vec3<u32>(clamp(c, vec3(0.0), vec3(1.0)) * 255.0 + 0.5);
     return byte.x | (byte.y << 8u) | (byte.z << 16u) | 0xff000000u;
+}
+
+fn put(i: u32, rgba: u32) {
+    shaded[i] = select(rgba, (rgba & 0xff00ff00u) | ((rgba & 255u) << 16u) | ((rgba >> 16u) & 255u), BGRA);
 }
 
 fn sky(ray: vec3<f32>) -> vec3<f32> {
@@ -105,12 +112,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let ray = ray_at(x, y);
     let bits = image_depth[i];
     if (bits == INFINITY) {
-        shaded[i] = pack(sky(ray));
+        put(i, pack(sky(ray)));
         return;
     }
     let color = image_color[i] | 0xff000000u;
     if (!NORMALS && !OCCLUSION && frame.fog == 0.0) {
-        shaded[i] = color;
+        put(i, color);
         return;
     }
     let z = bitcast<f32>(bits);
@@ -130,5 +137,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (frame.fog > 0.0) {
         haze = 1.0 - exp(-z * length(ray) * frame.fog);
     }
-    shaded[i] = pack(mix(lit, SKY_HORIZON, haze));
+    put(i, pack(mix(lit, SKY_HORIZON, haze)));
 }

@@ -29,7 +29,8 @@
 
 // Lanes; a multiple of 32, at most 256.
 override WIDTH: u32 = 128u;
-// Keys in the rows.
+// Keys in the rows. Workgroup memory is dear even where there is more of it: one compiler takes as many registers as leave
+// room for so many workgroups as fit in 48 KiB, and more registers let fewer run.
 override FINE: u32 = 1024u;
 // Samples of a block.
 const BLOCK: i32 = 16;
@@ -70,7 +71,11 @@ var<workgroup> level_slice: array<i32, MAX_LEVELS + 1>;
 var<workgroup> level_group: array<i32, MAX_LEVELS + 1>;
 
 // The groups under test, level 5 | number within the level 27; in `settle` least keys of parts of two rows.
-var<workgroup> listed: array<u32, WIDTH + 32u>;
+//!if GROUND
+var<workgroup> listed: array<u32, WIDTH + WIDTH / 16u>;
+//!else
+var<workgroup> listed: array<u32, max(WIDTH, 64u)>;
+//!endif
 // What a batch leaves for all lanes; in turn, so that one barrier separates use from reset.
 struct Turn {
     // Groups that can show, one bit each.
@@ -165,25 +170,28 @@ fn sync() {
 //!endif
 }
 
+// A plane's first sample, or up to a block before it: the first that has a key.
+var<private> origin: i32;
+
 fn sample(j: i32) -> u32 {
-    return keys_at + u32(j);
+    return keys_at + u32(j - origin);
 }
 
 //!if !GROUND
 fn filled(j: i32) -> u32 {
-    return keys_at + FINE + u32(j) / u32(BLOCK);
+    return keys_at + FINE + u32(j - origin) / u32(BLOCK);
 }
 
 fn hanging(j: i32) -> u32 {
-    return keys_at + FINE + FINE / 16u + u32(j) / u32(BLOCK);
+    return keys_at + FINE + FINE / 16u + u32(j - origin) / u32(BLOCK);
 }
 
 fn rising(j: i32) -> u32 {
-    return keys_at + FINE + 2u * (FINE / 16u) + u32(j) / u32(BLOCK);
+    return keys_at + FINE + 2u * (FINE / 16u) + u32(j - origin) / u32(BLOCK);
 }
 
 fn four(j: i32) -> u32 {
-    return keys_at + FINE + 3u * (FINE / 16u) + u32(j) / 4u;
+    return keys_at + FINE + 3u * (FINE / 16u) + u32(j - origin) / 4u;
 }
 
 fn key_of(j: i32) -> u32 {
@@ -285,6 +293,7 @@ fn reset_turn(turn: u32) {
 
 // Lays out the levels along the plane.
 fn begin(lane: u32) {
+    origin = plane.first & ~(BLOCK - 1);
     major = select(0u, 1u, abs(plane.dir.y) > abs(plane.dir.x));
     let along_x = major == 0u;
     cell_major = select(frame.eye_cell.z, frame.eye_cell.x, along_x);
@@ -550,12 +559,13 @@ fn shrink(lane: u32, turn: u32) {
 fn settle(lane: u32) {
     sync();
     // A lane has a stretch of samples; 16 lanes have a stretch of stretches.
-    let each = (i32(FINE) + i32(WIDTH) - 1) / i32(WIDTH);
+    // Stretches of odd length lie in different banks of memory.
+    let each = ((i32(FINE) + i32(WIDTH) - 1) / i32(WIDTH)) | 1;
     let first = min(i32(lane) * each, i32(FINE));
     let end = min(first + each, i32(FINE));
     var least = OPEN;
     for (var j = first; j < end; j++) {
-        least = min(least, key_at(sample(j)));
+        least = min(least, key_at(sample(origin + j)));
     }
     listed[lane] = least;
     sync();
@@ -575,8 +585,8 @@ fn settle(lane: u32) {
         least = min(least, listed[WIDTH + k]);
     }
     for (var j = end - 1; j >= first; j--) {
-        least = min(least, key_at(sample(j)));
-        set_key(sample(j), least);
+        least = min(least, key_at(sample(origin + j)));
+        set_key(sample(origin + j), least);
     }
     sync();
 }
@@ -807,8 +817,8 @@ fn settle(lane: u32) {
     var rise = OPEN;
     var hang = OPEN;
     for (var j = first; j < end; j += BLOCK) {
-        rise = min(rise, key_at(rising(j)));
-        hang = min(hang, key_at(hanging(j)));
+        rise = min(rise, key_at(rising(origin + j)));
+        hang = min(hang, key_at(hanging(origin + j)));
     }
     if (lane < 32u) {
         listed[lane] = rise;
@@ -822,12 +832,12 @@ fn settle(lane: u32) {
         hang = min(hang, select(OPEN, listed[k + 32u], k < lane));
     }
     for (var j = end - BLOCK; j >= first; j -= BLOCK) {
-        rise = min(rise, key_at(rising(j)));
-        set_key(rising(j), rise);
+        rise = min(rise, key_at(rising(origin + j)));
+        set_key(rising(origin + j), rise);
     }
     for (var j = first; j < end; j += BLOCK) {
-        hang = min(hang, key_at(hanging(j)));
-        set_key(hanging(j), hang);
+        hang = min(hang, key_at(hanging(origin + j)));
+        set_key(hanging(origin + j), hang);
     }
     sync();
 }

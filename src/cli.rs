@@ -22,6 +22,7 @@ use crate::bench::{
 };
 use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
+use crate::options::SAMPLES_LIMIT;
 use crate::path::{Path, Pose};
 use crate::preset::Preset;
 #[cfg(feature = "report")]
@@ -50,6 +51,7 @@ fn features_built() -> String {
         ("report", cfg!(feature = "report")),
         ("view", cfg!(feature = "view")),
         ("zarr", cfg!(feature = "zarr")),
+        ("object-store", cfg!(feature = "object-store")),
     ];
     let names = |on: bool| {
         let names: Vec<_> = all.iter().filter(|f| f.1 == on).map(|f| f.0).collect();
@@ -321,6 +323,9 @@ pub struct DrawArgs {
     /// Distance between planes: a pixel everywhere, or wider where planes would crowd
     #[arg(long, value_enum, value_name = "SPACING", default_value = "readjusted")]
     spacing: Spacing,
+    /// Samples of a plane, as a percentage of the pixels along it
+    #[arg(long, value_name = "FACTOR%", value_parser = samples, default_value = "100%")]
+    samples: f64,
     /// Culling, for measuring: all, none, or some of horizon,center,forward,bits,coarse
     #[arg(long, value_name = "LIST", value_parser = culling, default_value = "all")]
     cull: Culling,
@@ -339,7 +344,7 @@ pub struct DrawArgs {
     /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both
     #[arg(long, value_enum, value_name = "SHADING", default_value = "full")]
     shading: ShadingArg,
-    /// Neighbours that occlusion is taken from, 1 to 64; other than the default on the CPU alone
+    /// Neighbours that occlusion is taken from, 1 to 64
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64), default_value = "10")]
     ssao_samples: u32,
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
@@ -458,6 +463,12 @@ fn planes(s: &str) -> Result<Planes, String> {
     }
 }
 
+fn samples(s: &str) -> Result<f64, String> {
+    let percent = s.strip_suffix('%').and_then(|percent| positive(percent).ok());
+    let factor = percent.map(|v| v / 100.0).filter(|v| *v <= SAMPLES_LIMIT);
+    factor.ok_or_else(|| format!("expected a percentage above 0% and up to {}%", SAMPLES_LIMIT * 100.0))
+}
+
 fn culling(s: &str) -> Result<Culling, String> {
     match s {
         "all" => return Ok(Culling::ALL),
@@ -486,6 +497,7 @@ impl DrawArgs {
             lod: self.lod.0,
             planes: self.planes,
             readjust: self.spacing == Spacing::Readjusted,
+            samples: self.samples,
             culling: self.cull,
             equidistant: self.equidistant,
             remap: match self.remap {
@@ -622,7 +634,7 @@ impl FlyArgs {
         let options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         let file = PcastFile::open(&self.scene)?;
-        let content = info::info(&file)?.content_hash;
+        let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
         let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));
@@ -936,7 +948,7 @@ mod tests {
     fn cli_resolves_every_drawing_flag() {
         let usual = render("").draw.options();
         assert_eq!(usual, Options::default());
-        let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --cull horizon,bits \
+        let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --samples 150% --cull horizon,bits \
                    --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500 \
                    --specialize heights,upright";
         let expected = Options {
@@ -945,6 +957,7 @@ mod tests {
             lod: None,
             planes: Planes::Factor(0.5),
             readjust: true,
+            samples: 1.5,
             culling: Culling { horizon: true, bits: true, ..Culling::NONE },
             equidistant: Some(900.0),
             remap: Remap::Nearest,
@@ -971,7 +984,7 @@ mod tests {
 
     #[test]
     fn cli_flags_that_options_give_draw_with_them() {
-        let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --cull horizon,coarse \
+        let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --samples 62.5% --cull horizon,coarse \
                    --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --specialize heights,packed";
         for flags in ["", all, "--planes 7 --lod off --cull none --repeat xz --shading none"] {
             let options = render(flags).draw.options();
@@ -989,7 +1002,7 @@ mod tests {
     fn cli_flags_of_a_report_draw_what_it_measured() {
         use crate::report::sweep::{Backend, configs};
         for config in configs(512, &Options::default(), &["workgroup"], false) {
-            let Some(flags) = config.flags() else { continue };
+            let flags = config.flags();
             let args = render(&flags);
             assert_eq!(args.draw.options(), config.options, "{flags}");
             let device = match config.backend {
@@ -1014,6 +1027,9 @@ mod tests {
             ("--size 16385x5", "each 1 to 16384"),
             ("--size 16384x16384", "at most 67108864 pixels"),
             ("--size 640", "expected WxH"),
+            ("--samples 0%", "a percentage above 0%"),
+            ("--samples 801%", "a percentage above 0%"),
+            ("--samples 2", "a percentage above 0%"),
             ("--planes 0", "a number of planes from 1"),
             ("--planes -5", "a number of planes from 1"),
             ("--planes 0%", "a percentage"),

@@ -6,6 +6,9 @@ use crate::specialize::Features;
 /// Neighbours that occlusion may look at.
 pub const SSAO_SAMPLES_LIMIT: u32 = 64;
 
+/// Samples of a plane for each pixel, at most.
+pub const SAMPLES_LIMIT: f64 = 8.0;
+
 /// Which worlds repeat: the scene is tiled without end along the axes named.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Repeat {
@@ -76,6 +79,8 @@ pub struct Options {
     pub planes: Planes,
     /// The paper's readjusted spacing (§3.2, Fig. 4): fewer planes where fans would crowd.
     pub readjust: bool,
+    /// Samples of a plane for each pixel along it, above 0 and at most [`SAMPLES_LIMIT`].
+    pub samples: f64,
     pub culling: Culling,
     /// Beyond this horizontal distance one column is looked at a slice, instead of each that the plane cuts.
     pub equidistant: Option<f64>,
@@ -84,8 +89,7 @@ pub struct Options {
     /// Walk planes in f64 instead of f32: what rounding costs. On the CPU alone.
     pub f64_traversal: bool,
     pub shading: Shading,
-    /// Neighbours that a pixel's occlusion is taken from, 1 to [`SSAO_SAMPLES_LIMIT`]; the GPU has its own fixed number,
-    /// which is the default.
+    /// Neighbours that a pixel's occlusion is taken from, 1 to [`SSAO_SAMPLES_LIMIT`].
     pub ssao_samples: u32,
     /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
     pub fog: Option<f64>,
@@ -101,6 +105,7 @@ impl Default for Options {
             lod: Some(1.0),
             planes: Planes::Auto,
             readjust: true,
+            samples: 1.0,
             culling: Culling::ALL,
             equidistant: None,
             remap: Remap::Retest,
@@ -136,6 +141,7 @@ impl Options {
         add(o.planes != usual.planes, format!("--planes {planes}"));
         add(o.lod != usual.lod, format!("--lod {}", o.lod.map_or("off".into(), |px| px.to_string())));
         add(!o.readjust, "--spacing full".into());
+        add(o.samples != usual.samples, format!("--samples {}%", o.samples * 100.0));
         add(o.culling != usual.culling, format!("--cull {}", culling_names(o.culling)));
         add(o.equidistant.is_some(), format!("--equidistant {}", o.equidistant.unwrap_or_default()));
         add(o.remap == Remap::Nearest, "--remap nearest".into());

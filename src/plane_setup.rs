@@ -61,7 +61,9 @@ pub struct Setup {
 pub struct Fan {
     pub first_plane: u32,
     pub n_planes: u32,
-    /// Samples a plane: the image's height for up and down, its width for left and right.
+    /// Pixels along a plane: the image's height for up and down, its width for left and right.
+    pub pixels: u32,
+    /// Samples a plane, evenly along those pixels: as many, unless [`Options::samples`] asks for others.
     pub n_samples: u32,
     /// Start of the fan in the plane buffer.
     pub first_sample: usize,
@@ -157,7 +159,9 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
     for f in 0..4 {
         let far = [0.0, h, 0.0, w][f];
         fans[f].far = far;
-        fans[f].n_samples = if vertical(f) { camera.height } else { camera.width };
+        let pixels = if vertical(f) { camera.height } else { camera.width };
+        fans[f].pixels = pixels;
+        fans[f].n_samples = ((f64::from(pixels) * options.samples).round() as u32).max(1);
         fans[f].spacing = 1.0;
         widths[f] = fan_extent(f, far, vanishing, w, h);
     }
@@ -195,6 +199,8 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
             let mut plane = line(f, at, fan.far, camera, &basis);
             fan.flip = plane.b * plane.c - plane.a * plane.e < 0.0;
             let n = f64::from(fan.n_samples);
+            let per_pixel = n / f64::from(fan.pixels);
+            (plane.a, plane.b) = (plane.a * per_pixel, plane.b * per_pixel);
             if fan.flip {
                 (plane.a, plane.b) = (n * plane.c - plane.a, n * plane.e - plane.b);
             }
@@ -256,6 +262,7 @@ impl Setup {
             && self.planes.len() == camera.width as usize
             && fan.n_planes == camera.width
             && fan.spacing == 1.0
+            && fan.n_samples == fan.pixels
             && camera.roll.rem_euclid(180.0) == 0.0
     }
 }
@@ -377,6 +384,15 @@ impl Fan {
     }
 
     /// The plane of the fan whose stripe holds place `at` of the far edge.
+    /// The sample at whose place pixel `p` along the planes has its centre, counted as pixels are.
+    #[inline]
+    pub fn sample_at(&self, p: u32) -> u32 {
+        if self.n_samples == self.pixels {
+            return p;
+        }
+        ((2 * u64::from(p) + 1) * u64::from(self.n_samples) / (2 * u64::from(self.pixels))) as u32
+    }
+
     #[inline]
     pub fn plane_at(&self, at: f64) -> u32 {
         let k = match self.readjusted {
@@ -411,10 +427,10 @@ fn line(f: usize, at: f64, far: f64, camera: &Camera, basis: &Basis) -> Plane {
 /// Samples of the plane at `at` that pixels can ask for, widened for rounding and for pixels that look beside their place.
 fn window(f: usize, at: f64, stripe: f64, fan: &Fan, vanishing: [f64; 3], w: f64, h: f64) -> (u32, u32) {
     let [vx, vy, vw] = vanishing;
-    let n = i64::from(fan.n_samples);
+    let (n, pixels) = (i64::from(fan.n_samples), f64::from(fan.pixels));
     // Along: the axis samples count along. Across: the axis of the far edge.
     let (v_along, v_across, across_size) = if vertical(f) { (vy, vx, w) } else { (vx, vy, h) };
-    let (mut lo, mut hi) = (0.0, n as f64);
+    let (mut lo, mut hi) = (0.0, pixels);
     // On the fan's side of the vanishing point.
     let main = |s: f64| v_along - s * vw;
     let towards_zero = f == UP || f == LEFT;
@@ -436,7 +452,10 @@ fn window(f: usize, at: f64, stripe: f64, fan: &Fan, vanishing: [f64; 3], w: f64
         lo = lo.max(s0.min(s1).floor() - 2.0);
         hi = hi.min(s0.max(s1).ceil() + 2.0);
     }
-    let (lo, hi) = ((lo.clamp(0.0, n as f64)) as i64, (hi.clamp(0.0, n as f64)) as i64);
+    // From pixels to samples.
+    let per_pixel = n as f64 / pixels;
+    let (lo, hi) = ((lo * per_pixel).floor().clamp(0.0, n as f64), (hi * per_pixel).ceil().clamp(0.0, n as f64));
+    let (lo, hi) = (lo as i64, hi as i64);
     let hi = hi.max(lo);
     let (lo, hi) = if fan.flip { (n - hi, n - lo) } else { (lo, hi) };
     (lo as u32, hi as u32)

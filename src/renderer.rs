@@ -6,7 +6,7 @@ use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
 use crate::cpu::{gap_fill, remap, shade, traverse};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Planes, SSAO_SAMPLES_LIMIT, Shading};
+use crate::options::{Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
 use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
 use crate::specialize::{Specialization, Twin};
@@ -68,6 +68,18 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
     }
     if !(1..=SSAO_SAMPLES_LIMIT).contains(&options.ssao_samples) {
         return argument(format!("{} occlusion samples: must be 1 to {SSAO_SAMPLES_LIMIT}", options.ssao_samples));
+    }
+    if !(options.samples > 0.0 && options.samples <= SAMPLES_LIMIT) {
+        let most = SAMPLES_LIMIT * 100.0;
+        return argument(format!("{} % of samples: must be above 0 and at most {most} %", options.samples * 100.0));
+    }
+    // Pixels become samples in whole numbers of 32 bits.
+    let side = u64::from(camera.width.max(camera.height));
+    if options.samples != 1.0 && (2 * side + 1) * (side as f64 * options.samples).ceil() as u64 > u64::from(u32::MAX) {
+        let percent = options.samples * 100.0;
+        return Err(Error::Limit(format!(
+            "{percent} % of samples in a picture of {side} pixels a side: use fewer pixels, or 100 %"
+        )));
     }
     match options.planes {
         Planes::Count(n) if !(1..=1_000_000).contains(&n) => argument(format!("{n} planes: must be 1 to 1,000,000")),

@@ -383,3 +383,57 @@ fn repeated_worlds_of_any_size_agree_with_exact() {
         }
     }
 }
+
+/// Percent of the pixels of all turned poses whose voxel is not that of `exact`.
+fn wrong(world: &World, options: &Options) -> f64 {
+    let mut sum = Agreement::default();
+    for pose in poses(world, SIZE).into_iter().filter(|p| p.kind == Kind::Turned) {
+        let agreement = compare(&world.render(&pose.camera, options), &world.exact(&pose.camera, options));
+        sum.pixels += agreement.pixels;
+        sum.same += agreement.same;
+    }
+    100.0 - sum.same_percent()
+}
+
+#[test]
+fn samples_that_are_few_show_fewer_of_the_voxels_of_exact() {
+    let world = rocks();
+    for remap in [Remap::Nearest, Remap::Retest] {
+        let of = |samples: f64| wrong(&world, &Options { samples, remap, ..plain() });
+        let [few, usual, three] = [0.4, 1.0, 3.0].map(of);
+        println!("{remap:?}: 40 % {few:.2}, 100 % {usual:.2}, 300 % {three:.2} % of pixels");
+        assert!(few > 1.5 * usual, "{remap:?} {few} {usual}");
+        // Every third sample stands where a pixel's own does; the others are there to be looked at again.
+        match remap {
+            Remap::Nearest => assert!((usual - three).abs() < 0.02, "{usual} {three}"),
+            Remap::Retest => assert!(three < 1.1 * usual, "{usual} {three}"),
+        }
+    }
+}
+
+#[test]
+fn samples_of_any_number_leave_no_pixel_open() {
+    let (world, mut random) = (room(), Random::new(5));
+    let [nx, ny, nz] = world.dims().map(f64::from);
+    for k in 0..120 {
+        let eye = DVec3::new(nx * random.within(0.3, 0.7), ny * random.within(0.3, 0.7), nz * random.within(0.3, 0.7));
+        let camera = Camera {
+            eye,
+            yaw: random.within(0.0, 360.0),
+            pitch: [90.0, -90.0, random.within(-90.0, 90.0)][k % 3],
+            roll: [0.0, random.within(0.0, 360.0)][k % 2],
+            fov: random.within(20.0, 120.0),
+            width: 61,
+            height: 47,
+        };
+        if world.buries(eye) {
+            continue;
+        }
+        let samples = [0.02, 0.37, 0.99, 1.01, 1.6, 7.9][k % 6];
+        let remap = [Remap::Nearest, Remap::Retest][k / 6 % 2];
+        let frame = world.render(&camera, &Options { samples, remap, ..plain() });
+        assert_eq!(sane(&frame), Ok(()));
+        let open = frame.depth.iter().filter(|d| d.is_infinite()).count();
+        assert_eq!(open, 0, "{samples} samples a pixel, {remap:?}, {camera:?}");
+    }
+}

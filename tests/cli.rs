@@ -220,3 +220,27 @@ fn fly_interrupted_leaves_a_film_and_goes_on() {
     succeeds(dir.path(), &format!("{line} --resume"));
     assert_eq!((samples(&film()), names(dir.path())), (400, vec!["film.mp4".to_string(), "hills.pcast".to_string()]));
 }
+
+#[test]
+fn render_and_fly_take_broken_tiles_as_empty_where_asked() {
+    let dir = workplace();
+    let path = dir.path().join("hills.pcast");
+    let mut bytes = fs::read(&path).unwrap();
+    // The first tile's blob, in its middle.
+    let entry = u64::from_le_bytes(bytes[32..40].try_into().unwrap()) as usize;
+    let at = u64::from_le_bytes(bytes[entry..entry + 8].try_into().unwrap()) as usize;
+    let len = u32::from_le_bytes(bytes[entry + 32..entry + 36].try_into().unwrap()) as usize;
+    bytes[at + len / 2] ^= 1;
+    fs::write(&path, bytes).unwrap();
+    let how = "--size 40x30 --device cpu";
+    for line in
+        [format!("render hills.pcast -o p.png {how}"), format!("fly hills.pcast -o flight --tour --frames 2 {how}")]
+    {
+        let (status, text) = fails(dir.path(), &line);
+        assert!(status == 1 && text.contains("tile (0, 0) of level 0"), "{text}");
+        let output = planecast(dir.path(), &format!("{line} --skip-broken"));
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && text.contains("note: taken as empty: "), "{text}");
+    }
+    assert!(dir.path().join("p.png").exists() && names(&dir.path().join("flight")).len() >= 2);
+}

@@ -116,6 +116,7 @@ fn window_shows_what_render_draws_while_it_flies_and_is_resized() {
         {"t": 0, "key": "Tab"},
         {"t": 0.1, "grab": "first.png"},
         {"t": 0.1, "key": "KeyC"},
+        {"t": 0.1, "figures": "first.json"},
         {"t": 0.1, "press": "KeyW"},
         {"t": 0.2, "look": [30, -12]},
         {"t": 0.3, "press": "KeyQ"},
@@ -146,7 +147,10 @@ fn window_shows_what_render_draws_while_it_flies_and_is_resized() {
     assert_eq!(pictures(&shot.1, &drawn.1), Difference::default(), "the screenshot after flight and resize");
     assert_ne!(eye(commands[0]), eye(commands[1]), "W flies");
     assert!(commands[1].contains("--roll -"), "Q rolls: {}", commands[1]);
+    // Rows of 320 pixels can be copied onto the surface; those of 333 are drawn.
+    assert_eq!(place.json("first.json")["present"], "copied");
     let figures = place.json("figures.json");
+    assert_eq!(figures["present"], "drawn");
     assert_eq!((&figures["stats"]["width"], &figures["stats"]["kernel"]), (&json!(333), &json!("workgroup")));
 }
 

@@ -4,7 +4,8 @@
     dask_encode.py INPUT -o SCENE.pcast [--scheduler tcp://host:8786 | --workers N] [--jobs N] [-- options of encode]
 
 A task whose worker dies is run again by Dask elsewhere. Each attempt writes a file of its own, which takes the part's name
-when it is whole, so that a process that outlives its worker does no harm.
+when it is whole, so that a process that outlives its worker does no harm. INPUT, SCENE.pcast and --parts may be URLs of objects, where
+planecast was built with object storage: there a part is seen when it is whole, whoever puts it.
 """
 
 import argparse
@@ -24,9 +25,19 @@ def call(command):
     return done.stdout
 
 
+def is_url(name):
+    return "://" in name
+
+
+def absolute(name):
+    return name if is_url(name) or name.startswith("procedural:") else os.path.abspath(name)
+
+
 def encode_part(planecast, source, options, start, end, part):
     """Makes one part, unless it is there already; returns its name."""
-    if not os.path.exists(part):
+    if is_url(part):
+        call([planecast, "encode", source, "--tiles", f"{start}..{end}", "-o", part, *options])
+    elif not os.path.exists(part):
         attempt = f"{part}.{uuid.uuid4().hex}"
         call([planecast, "encode", source, "--tiles", f"{start}..{end}", "-o", attempt, *options])
         os.replace(attempt, part)
@@ -37,9 +48,10 @@ def encode(client, planecast, source, output, jobs, options, parts_dir):
     """Encodes `source` to `output` with about `jobs` tasks on the cluster of `client`."""
     tiles = json.loads(call([planecast, "encode", source, *options, "--plan"]))["tiles"]
     jobs = max(1, min(jobs, tiles))
-    os.makedirs(parts_dir, exist_ok=True)
+    if not is_url(parts_dir):
+        os.makedirs(parts_dir, exist_ok=True)
     cuts = [tiles * i // jobs for i in range(jobs + 1)]
-    parts = [os.path.join(parts_dir, f"{a}-{b}.part") for a, b in zip(cuts, cuts[1:])]
+    parts = [f"{parts_dir}/{a}-{b}.part" for a, b in zip(cuts, cuts[1:])]
     tasks = [
         client.submit(encode_part, planecast, source, options, a, b, part, retries=3, pure=False)
         for a, b, part in zip(cuts, cuts[1:], parts)
@@ -47,7 +59,9 @@ def encode(client, planecast, source, output, jobs, options, parts_dir):
     client.gather(tasks)
     # Where the client is: merging reads every part once.
     call([planecast, "merge", *parts, "-o", output])
-    shutil.rmtree(parts_dir)
+    # Objects are left to the bucket's own rules.
+    if not is_url(parts_dir):
+        shutil.rmtree(parts_dir)
 
 
 def main():
@@ -68,9 +82,8 @@ def main():
     cluster = args.scheduler or LocalCluster(n_workers=args.workers, threads_per_worker=1, dashboard_address=None)
     with Client(cluster) as client:
         jobs = args.jobs or 4 * max(1, len(client.scheduler_info()["workers"]))
-        source = args.input if args.input.startswith("procedural:") else os.path.abspath(args.input)
-        parts = os.path.abspath(args.parts or args.output + ".parts")
-        encode(client, args.planecast, source, os.path.abspath(args.output), jobs, argv[cut + 1 :], parts)
+        parts = absolute(args.parts or args.output + ".parts").rstrip("/")
+        encode(client, args.planecast, absolute(args.input), absolute(args.output), jobs, argv[cut + 1 :], parts)
 
 
 if __name__ == "__main__":

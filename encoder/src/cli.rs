@@ -12,7 +12,9 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::decode::decode_to_raw;
 use crate::encode::{self, EncodeOptions, Summary, Watch};
 use crate::pieces::{Grey, Pieces};
+use crate::remote::{self, Here, Output};
 use crate::source::{self, ReadOptions};
+use crate::verify::Depth;
 use crate::write::{keep_input, resolved};
 use crate::{
     BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, guard, info, memory,
@@ -63,7 +65,7 @@ pub struct EncodeArgs {
     /// Compress tiles with zstd, at this level; such a scene is read more slowly
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(i32).range(1..=19))]
     pub zstd: Option<i32>,
-    /// What tiles may leave out that they do not need: auto (whatever it is), off, or some of heights, lists, tables, colors
+    /// What tiles may leave out that they do not need: auto (whatever it is), off, or some of heights, lists, tables, colors, packed
     #[arg(long, value_name = "off|FEATURE,...", default_value_t)]
     pub specialize: Features,
     /// Only print what there is to do, as JSON: size, and number of tiles of level 0
@@ -104,6 +106,7 @@ impl EncodeArgs {
 
     fn encode(&self, output: &Path) -> Result<()> {
         let begun = Instant::now();
+        let output = Output::new(output)?;
         let mut world = source::open_pieces(&self.input, &self.read)?;
         world.notes().iter().for_each(|note| eprintln!("note: {note}"));
         if !world.colored() && matches!(self.color, Some(ColorMode::Run | ColorMode::Voxel)) {
@@ -117,13 +120,14 @@ impl EncodeArgs {
             resume: self.resume,
             compress: self.zstd,
             settings: self.settings(&*world),
-            source: self.source(),
+            source: self.source()?,
         };
         let bytes = world.input_bytes();
         let summary = watched(bytes, |watch| match self.tiles {
-            None => encode::encode(&*world, &opts, output, watch),
-            Some(TileRange(from, to)) => encode::encode_part(&*world, &opts, from..to, output, watch),
+            None => encode::encode(&*world, &opts, output.file(), watch),
+            Some(TileRange(from, to)) => encode::encode_part(&*world, &opts, from..to, output.file(), watch),
         })?;
+        output.finish()?;
         report(&summary, if self.tiles.is_some() { 0 } else { bytes }, begun);
         Ok(())
     }
@@ -138,13 +142,17 @@ impl EncodeArgs {
     }
 
     /// Of the input's files as they lie here.
-    fn source(&self) -> u64 {
+    fn source(&self) -> Result<u64> {
         let state = |path: &PathBuf| {
+            if remote::is_url(path) {
+                return remote::state(path).map(|state| format!("{path:?} {state}"));
+            }
             let meta = std::fs::metadata(path).ok();
             let time = meta.as_ref().and_then(|m| m.modified().ok());
-            (resolved(path), meta.map(|m| m.len()), time)
+            Ok(format!("{:?}", (resolved(path), meta.map(|m| m.len()), time)))
         };
-        xxh3_64(format!("{:?} {:?}", state(&self.input), self.read.colors.as_ref().map(state)).as_bytes())
+        let colors = self.read.colors.as_ref().map(state).transpose()?;
+        Ok(xxh3_64(format!("{} {colors:?}", state(&self.input)?).as_bytes()))
     }
 }
 
@@ -239,7 +247,9 @@ impl MergeArgs {
     pub fn run(&self) -> Result<()> {
         self.parts.iter().try_for_each(|part| keep_input(part, "--output", &self.output))?;
         let begun = Instant::now();
-        let summary = watched(0, |watch| encode::merge(&self.parts, self.memory, self.zstd, &self.output, watch))?;
+        let (output, parts) = (Output::new(&self.output)?, Here::bring(&self.parts)?);
+        let summary = watched(0, |watch| encode::merge(&parts.files, self.memory, self.zstd, output.file(), watch))?;
+        output.finish()?;
         report(&Summary { resumed: 0, ..summary }, 0, begun);
         Ok(())
     }
@@ -253,13 +263,21 @@ pub struct VerifyArgs {
     /// Checksums alone: finds damage, not what a faulty program wrote
     #[arg(long)]
     pub quick: bool,
+    /// Also that exposed voxels are those with an exposed face, as tiles and their neighbours have it; takes longer
+    #[arg(long, conflicts_with = "quick")]
+    pub deep: bool,
 }
 
 impl VerifyArgs {
     pub fn run(&self) -> Result<()> {
         let begun = Instant::now();
         let file = PcastFile::open(&self.scene)?;
-        let found = verify::verify(&file, self.quick);
+        let depth = match (self.quick, self.deep) {
+            (true, _) => Depth::Checksums,
+            (_, true) => Depth::Exposure,
+            _ => Depth::Tiles,
+        };
+        let found = verify::verify(&file, depth);
         let seconds = begun.elapsed().as_secs_f64();
         let rate = file.file_len() as f64 / seconds / 1e9;
         found.faults.iter().for_each(|fault| eprintln!("{fault}"));

@@ -19,11 +19,16 @@
 //! flat (tiles of higher levels, where shorter)
 //!   n × { start u16, color u16 }            color: voxels in runs before
 //!   total u16      voxels mod 65,536, 0 is 65,536
+//!
+//! packed (tiles where shorter, of whose columns no colour asks for a voxel's number)
+//!   n × { start, end }                      of so many bits each as the tile says, 4 to 17, lowest first; end exclusive
+//!   zero bits to a byte                     fewer than a run takes, so that n follows from the bytes
 //! ```
 //!
 //! A column without runs has no bytes. Deviates: `first` is not in the paper; with it a point query is two binary
 //! searches and no sum. The narrow form leaves the first level away: there is one bucket, and `word` is 0. The flat form
-//! has none either: it is the shorter one where buckets hold few runs.
+//! has none either: it is the shorter one where buckets hold few runs. Deviates: the packed form holds the ends of runs, and no
+//! colour positions; a point query is one binary search.
 
 use crate::Run;
 
@@ -35,12 +40,17 @@ const WIDE_FIXED: usize = 4;
 /// Bytes of a run of the flat form.
 const FLAT_RUN: usize = 4;
 
+/// Bits that a packed column may have for a boundary: fewer padding bits than a run takes, and 65,536 fits.
+pub const PACKED_BITS: std::ops::RangeInclusive<u32> = 4..=17;
+
 /// Which form the columns of a tile have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     Narrow,
     Wide,
     Flat,
+    /// With so many bits for a boundary, one of [`PACKED_BITS`].
+    Packed(u32),
 }
 
 impl Form {
@@ -59,8 +69,42 @@ impl Form {
                 WIDE_FIXED + BUCKET * buckets + 2 * runs.len()
             }
             Form::Flat => FLAT_RUN * runs.len() + 2,
+            Form::Packed(bits) => packed_len(runs.len(), bits),
         }
     }
+}
+
+fn packed_len(n_runs: usize, bits: u32) -> usize {
+    (2 * n_runs * bits as usize).div_ceil(8)
+}
+
+/// Runs of a packed column, whether or not its bytes are a whole number of them.
+fn packed_runs(bytes: &[u8], bits: u32) -> usize {
+    8 * bytes.len() / (2 * bits as usize)
+}
+
+/// The starts and ends of a packed column's runs, in turn; without end, zero past the bytes.
+fn boundaries(bytes: &[u8], bits: u32) -> impl Iterator<Item = u32> {
+    let (mut rest, mut held, mut n_held) = (bytes.iter(), 0u64, 0);
+    std::iter::repeat_with(move || {
+        while n_held < bits {
+            held |= u64::from(rest.next().copied().unwrap_or(0)) << n_held;
+            n_held += 8;
+        }
+        let boundary = held & ((1 << bits) - 1);
+        (held, n_held) = (held >> bits, n_held - bits);
+        boundary as u32
+    })
+}
+
+/// Boundary number `i` of a packed column; zero past the bytes.
+fn boundary(bytes: &[u8], bits: u32, i: usize) -> u32 {
+    let at = i * bits as usize;
+    let mut word = [0; 4];
+    let part = bytes.get(at / 8..).unwrap_or_default();
+    let n = part.len().min(4);
+    word[..n].copy_from_slice(&part[..n]);
+    u32::from_le_bytes(word) >> (at % 8) & ((1 << bits) - 1)
 }
 
 /// What is wrong with a column's bytes.
@@ -80,11 +124,12 @@ pub struct Place {
     pub start: u32,
     /// Voxels, at least 1 in valid columns.
     pub len: u32,
-    /// Voxels in the runs before.
+    /// Voxels in the runs before; 0 in packed columns, which do not say.
     pub color: u32,
 }
 
-/// Appends the bytes of one column. `runs` ascend and do not touch; those of a narrow column end at 256 or below.
+/// Appends the bytes of one column. `runs` ascend and do not touch; those of a narrow column end at 256 or below, those of a
+/// packed one where their bits reach.
 pub fn encode(runs: &[Run], form: Form, out: &mut Vec<u8>) {
     if runs.is_empty() {
         return;
@@ -126,6 +171,17 @@ pub fn encode(runs: &[Run], form: Form, out: &mut Vec<u8>) {
                 before += run.len();
             }
             out.extend((total as u16).to_le_bytes());
+        }
+        Form::Packed(bits) => {
+            let (mut held, mut n_held) = (0u64, 0);
+            for run in runs {
+                held |= (u64::from(run.first()) | u64::from(run.end()) << bits) << n_held;
+                n_held += 2 * bits;
+                let whole = n_held / 8;
+                out.extend_from_slice(&held.to_le_bytes()[..whole as usize]);
+                (held, n_held) = (held >> (8 * whole), n_held % 8);
+            }
+            out.extend((n_held > 0).then_some(held as u8));
         }
     }
 }
@@ -201,6 +257,26 @@ pub fn decode(bytes: &[u8], form: Form, ny: u32, out: &mut Vec<Run>) -> Result<(
             }
             Ok(())
         }
+        Form::Packed(bits) => {
+            let n = packed_runs(bytes, bits);
+            if n == 0 || packed_len(n, bits) != bytes.len() {
+                return fault(0, format!("{} bytes; a packed column has {} bits a run", bytes.len(), 2 * bits));
+            }
+            let used = 2 * n * bits as usize % 8;
+            if used > 0 && bytes[bytes.len() - 1] >> used != 0 {
+                return fault(bytes.len() - 1, "bits behind the last run, zero was expected".into());
+            }
+            let mut ends = boundaries(bytes, bits);
+            for i in 0..n {
+                let at = 2 * i * bits as usize / 8;
+                let (start, end) = (ends.next().unwrap_or(0), ends.next().unwrap_or(0));
+                if end <= start {
+                    return fault(at, format!("run from {start} to {end}; a run ends above its start"));
+                }
+                list.push(at, start, end)?;
+            }
+            Ok(())
+        }
     }
 }
 
@@ -218,13 +294,20 @@ pub fn count(bytes: &[u8], form: Form) -> [usize; 2] {
         Form::Flat => {
             (bytes.len() / FLAT_RUN, wrap(get_u16(bytes, bytes.len().saturating_sub(2)).unwrap_or(0), 65_536))
         }
+        Form::Packed(bits) => {
+            let n = packed_runs(bytes, bits);
+            let mut ends = boundaries(bytes, bits);
+            let mut len = || ends.next().map_or(0, |start| ends.next().unwrap_or(0).saturating_sub(start));
+            (n, (0..n).map(|_| len()).sum())
+        }
     };
     [runs, total as usize]
 }
 
 /// The run that holds voxel `y`: its number in the column and the voxel's own colour position.
 ///
-/// Two binary searches. On bytes that [`decode`] would refuse the answer is arbitrary, but there is no panic.
+/// Two binary searches; in packed columns, which have no colour positions, the voxel's position in its run. On bytes that
+/// [`decode`] would refuse the answer is arbitrary, but there is no panic.
 pub fn find(bytes: &[u8], form: Form, y: u32) -> Option<(usize, u32)> {
     let place = at_or_below(bytes, form, y)?;
     (y - place.start < place.len).then(|| (place.run, place.color + (y - place.start)))
@@ -279,6 +362,12 @@ pub fn at_or_below(bytes: &[u8], form: Form, y: u32) -> Option<Place> {
                 false => wrap(get_u16(bytes, FLAT_RUN * n)?, 65_536),
             };
             Some(Place { run, start, len: end.saturating_sub(color), color })
+        }
+        Form::Packed(bits) => {
+            let n = packed_runs(bytes, bits);
+            let run = after(n, |i| boundary(bytes, bits, 2 * i) <= y).checked_sub(1)?;
+            let (start, end) = (boundary(bytes, bits, 2 * run), boundary(bytes, bits, 2 * run + 1));
+            Some(Place { run, start, len: end.saturating_sub(start), color: 0 })
         }
     }
 }
@@ -358,7 +447,12 @@ impl Checker<'_> {
         if next <= color {
             return fault(color_at, format!("colour offset {color} before {next}; colour offsets ascend"));
         }
-        let end = start + (next - color);
+        self.push(at, start, start + (next - color))
+    }
+
+    /// Adds the run from `start` to before `end`, which is above.
+    #[inline]
+    fn push(&mut self, at: usize, start: u32, end: u32) -> Result<(), Fault> {
         if end > self.ny {
             return fault(at, format!("run from {start} to {end}, the column is {} high", self.ny));
         }
@@ -392,7 +486,9 @@ mod tests {
 
     /// Round trip, and `find` against the runs at every height.
     fn check(runs: &[Run], ny: u32) {
-        for form in [Form::of(ny), Form::Flat] {
+        let least = u32::BITS - runs.last().map_or(0, |r| r.end()).leading_zeros();
+        let packed = [least.max(*PACKED_BITS.start()), *PACKED_BITS.end()].map(Form::Packed);
+        for form in [Form::of(ny), Form::Flat].into_iter().chain(packed) {
             check_form(runs, form, ny);
         }
     }
@@ -405,6 +501,9 @@ mod tests {
         let mut expected = vec![None; ny as usize + 300];
         let mut color = 0;
         for (i, run) in runs.iter().enumerate() {
+            if let Form::Packed(_) = form {
+                color = 0;
+            }
             for y in u32::from(run.first())..run.end() {
                 expected[y as usize] = Some((i, color));
                 color += 1;
@@ -435,7 +534,7 @@ mod tests {
         #[test]
         fn column_rle_never_panics_on_noise(bytes in prop::collection::vec(any::<u8>(), 0..40), m in 0u8..4, y in 0u32..70_000) {
             let mut bytes = bytes;
-            for form in [Form::Narrow, Form::Wide, Form::Flat] {
+            for form in [Form::Narrow, Form::Wide, Form::Flat].into_iter().chain(PACKED_BITS.map(Form::Packed)) {
                 let _ = (decoded(&bytes, form, 65_536), find(&bytes, form, y), count(&bytes, form));
             }
             // A likely number of buckets gets further.
@@ -447,7 +546,8 @@ mod tests {
 
         #[test]
         fn column_rle_accepts_only_what_it_would_write(bytes in prop::collection::vec(0u8..6, 0..24)) {
-            for (form, ny) in [(Form::Narrow, 256), (Form::Wide, 65_536), (Form::Flat, 65_536)] {
+            let packed = PACKED_BITS.map(|bits| (Form::Packed(bits), 65_536));
+            for (form, ny) in [(Form::Narrow, 256), (Form::Wide, 65_536), (Form::Flat, 65_536)].into_iter().chain(packed) {
                 if let Ok(runs) = decoded(&bytes, form, ny) {
                     prop_assert_eq!(encoded(&runs, form), &bytes[..]);
                 }
@@ -490,6 +590,11 @@ mod tests {
         assert_eq!(encoded(&[Run::new(0, 65_535)], Form::Wide), [1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(encoded(&[Run::new(3, 4), Run::new(9, 0x0201)], Form::Flat), [3, 0, 0, 0, 9, 0, 2, 0, 0xFB, 1]);
         assert_eq!(encoded(&[Run::new(0, 65_535)], Form::Flat), [0; 6]);
+        // 3, 5, 9, 10 of 4 bits each; then of 9 bits: 000000011, 100000101 from the right.
+        let runs = [Run::new(3, 4), Run::new(9, 9)];
+        assert_eq!(encoded(&runs, Form::Packed(4)), [0x53, 0xA9]);
+        assert_eq!(encoded(&[Run::new(3, 0x104)], Form::Packed(9)), [0b0000_0011, 0b0000_1010, 0b10]);
+        assert_eq!(encoded(&[Run::new(0, 65_535)], Form::Packed(17)), [0, 0, 0, 0, 0b10]);
     }
 
     #[test]
@@ -528,5 +633,16 @@ mod tests {
             flat(&[1, 0, 0, 0, 3, 0, 2, 0, 4, 0]),
             (4, "run at 3 touches the one before, which ends at 3".into())
         );
+
+        let packed = |bytes: &[u8]| decoded(bytes, Form::Packed(9), 200).map_err(|f| (f.at, f.what)).unwrap_err();
+        let of = |ends: [u32; 4]| {
+            let bits = ends.iter().rev().fold(0u64, |bits, &end| bits << 9 | u64::from(end));
+            bits.to_le_bytes()[..5].to_vec()
+        };
+        assert_eq!(packed(&[1, 0]), (0, "2 bytes; a packed column has 18 bits a run".into()));
+        assert_eq!(packed(&[1, 4, 4]), (2, "bits behind the last run, zero was expected".into()));
+        assert_eq!(packed(&of([3, 4, 9, 9])), (2, "run from 9 to 9; a run ends above its start".into()));
+        assert_eq!(packed(&of([3, 4, 9, 201])), (2, "run from 9 to 201, the column is 200 high".into()));
+        assert_eq!(packed(&of([3, 4, 4, 6])), (2, "run at 4 touches the one before, which ends at 4".into()));
     }
 }

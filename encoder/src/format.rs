@@ -86,13 +86,20 @@
 //! forms, by bits
 //!   0..3    long                             | 6..9    grouped        of geometry, exposure, colour table
 //!   3..6    even                             | 9..11   log2 of a group's columns, less 3 (geometry and exposure)
-//!   11..14  lists: 0 as the level's height says, 1 narrow, 2 flat, 3 one height, 4 heights u8, 5 heights u16
+//!   11..14  lists: 0 as the level's height says, 1 narrow, 2 flat, 3 one height, 4 heights u8, 5 heights u16,
+//!           6 packed
 //!   14..16  one colour a: 0 run or voxel, as the header says, 1 exposed run, 2 column, 3 tile
-//!   16..32  base: lowest voxel (lists 1), least height (lists 3 to 5), else 0
+//!   16..32  base: lowest voxel (lists 1), least height (lists 3 to 5), else 0; of packed lists
+//!           16..20 bits of a boundary, less 4, 20..32 base: a sixteenth of the height that boundaries count from
 //! ```
 //!
 //! **Lists** (1, 2): both kinds of columns are in the form that is named, and starts of runs count from the base. A tile of
 //! a high level that spans at most 256 heights needs no first level, and few long runs need none either.
+//!
+//! **Packed** (6): section 1 holds the starts and ends of runs, of 4 to 17 bits each. They do not number voxels, so there are none in
+//! surface scenes with colours a voxel, and in other surface scenes they have 8 bits at least, so that a run takes two bytes. In
+//! solid scenes with colours a voxel, section 4 is in the narrow form in levels at most 256 high, in the flat form in higher
+//! ones, without a base. No program of version 3 was released before there were packed lists: they are part of it.
 //!
 //! **Heights** (3 to 5), where every column is empty or one run from y = 0 up: section 1 holds a number a column, or none
 //! (3); the column is solid below the sum of that number and the base. There is no table and no fill. Where the scene keeps exposed voxels (surface, or colours a voxel), they are voxel 0 and those from
@@ -101,7 +108,7 @@
 //! are in other tiles.
 //!
 //! **Tables**: where all columns take equally much there is none (even). A grouped table holds a start for each 8, 16 or 32
-//! columns, and a byte a column to add to it, in units of two bytes but for narrow lists. Grouped colour tables hold a
+//! columns, and a byte a column to add to it, in units of two bytes but for narrow and packed lists. Grouped colour tables hold a
 //! start for each 16 columns and no bytes: how many colours a column has is known from its runs.
 //!
 //! ```text
@@ -131,8 +138,10 @@
 //!     let blob = u32(tile); // A file of 4 GiB and more needs all eight bytes.
 //!     let (width, depth, forms, base) = (u16(blob), u16(blob + 2), u16(blob + 4), u16(blob + 6));
 //!     let [table, columns, fill] = [0, 1, 2].map(|i| blob + u32(blob + 8 + 8 * i));
+//!     let lists = forms >> 11 & 7;
+//!     let (bits, base) = if lists == 6 { (4 + base % 16, base - base % 16) } else { (0, base) };
 //!     let (column, len) = (z % 256 * width + x % 256, u32(blob + 20));
-//!     let lists = match forms >> 11 & 7 {
+//!     let lists = match lists {
 //!         3 => return y < base,
 //!         4 => return y < base + file[columns + column] as usize,
 //!         5 => return y < base + u16(columns + 2 * column),
@@ -146,7 +155,7 @@
 //!         0b1000 => len / (width * depth) * column,
 //!         0b1000000 => {
 //!             let offset = file[table + 4 * (width * depth).div_ceil(1 << shift) + column] as usize;
-//!             u32(table + 4 * (column >> shift)) + offset * if lists == 1 { 1 } else { 2 }
+//!             u32(table + 4 * (column >> shift)) + offset * if lists == 1 || lists == 6 { 1 } else { 2 }
 //!         }
 //!         _ => u32(table + 4 * (column / width)) + u16(table + 4 * depth + 2 * column),
 //!     };
@@ -160,6 +169,15 @@
 //!     } else if lists == 2 {
 //!         runs.extend((at..end - 2).step_by(4).map(|i| (u16(i), u16(i + 2))));
 //!         runs.push((ny + 1, match u16(end - 2) { 0 => 65_536, total => total }));
+//!     } else if lists == 6 {
+//!         let bit = |i: usize| (file[at + i / 8] >> (i % 8) & 1) as usize;
+//!         let boundary = |i: usize| (0..bits).map(|b| bit(bits * i + b) << b).sum::<usize>();
+//!         let mut before = 0;
+//!         for i in 0..(end - at) * 8 / (2 * bits) {
+//!             runs.push((boundary(2 * i), before));
+//!             before += boundary(2 * i + 1) - boundary(2 * i);
+//!         }
+//!         runs.push((ny + 1, before));
 //!     } else {
 //!         let mut run = at + 2 + 6 * u16(at) + 2;
 //!         for bucket in (at + 2..).step_by(6).take(u16(at)) {
@@ -180,8 +198,9 @@
 //! # let flat = |x: u32, y: u32, _: u32| y < 30 || x < 256 && y >= 280;
 //! # let slopes = |x: u32, y: u32, _: u32| y < x && x > 9;
 //! # let raised = |x: u32, y: u32, z: u32| y > 45 && (x ^ y ^ z) % 9 < 5;
-//! # let worlds: [fn(u32, u32, u32) -> bool; 5] = [caves, hills, flat, slopes, raised];
-//! # for (k, world) in (0..40).map(|k| (k, worlds[k / 8])) {
+//! # let sparse = |x: u32, y: u32, z: u32| (y / 24 + x + z) % 3 == 1;
+//! # let worlds: [fn(u32, u32, u32) -> bool; 6] = [caves, hills, flat, slopes, raised, sparse];
+//! # for (k, world) in (0..48).map(|k| (k, worlds[k / 8])) {
 //! #     let (ny, encoding) = ([40, 300][k % 2], [Encoding::Solid, Encoding::Surface][k / 2 % 2]);
 //! #     let features = [Features::NONE, Features::ALL][k / 4 % 2];
 //! #     let columns = Columns::from_fn(270, ny, 9, world);

@@ -3,10 +3,11 @@
 //!
 //! The bytes are described in [`crate::format`].
 
-use crate::column_rle::Form;
+use crate::column_rle::{Form, PACKED_BITS};
 use crate::features::{FeatureSet, Named};
 use crate::format::Section;
-use crate::{Columns, Run};
+use crate::read::Modes;
+use crate::{ColorMode, Columns, Encoding, Run};
 
 /// One way in which a tile leaves out what it does not need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
@@ -20,10 +21,12 @@ pub enum Feature {
     Tables,
     /// A colour a tile, a column or a run, where finer ones say the same.
     Colors,
+    /// Starts and ends of as few bits as the tile's heights need, instead of lists that number voxels.
+    Packed,
 }
 
 impl Feature {
-    pub const ALL: [Feature; 4] = [Feature::Heights, Feature::Lists, Feature::Tables, Feature::Colors];
+    pub const ALL: [Feature; 5] = [Feature::Heights, Feature::Lists, Feature::Tables, Feature::Colors, Feature::Packed];
 }
 
 impl Named for Feature {
@@ -35,6 +38,7 @@ impl Named for Feature {
             Feature::Lists => "lists",
             Feature::Tables => "tables",
             Feature::Colors => "colors",
+            Feature::Packed => "packed",
         }
     }
 }
@@ -58,8 +62,11 @@ pub(crate) enum Table {
 /// What stands for the runs of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lists {
-    /// Run lists, of runs that start `base` lower than the list says.
+    /// Run lists, of runs that start `base` higher than the list says.
     Runs { form: Form, base: u32 },
+    /// The same with packed geometry, of so many bits a boundary; `base` is a multiple of 16. Exposed runs, which number
+    /// voxels, are in the shorter of the forms without a first level that the level's height allows, and have no base.
+    Packed { bits: u32, base: u32 },
     /// Heights: `base`, and that many bytes (0, 1 or 2) a column to add to it.
     Heights { bytes: usize, base: u32 },
 }
@@ -68,6 +75,36 @@ impl Lists {
     /// Lists of the general layout.
     pub fn general(ny: u32) -> Lists {
         Lists::Runs { form: Form::of(ny), base: 0 }
+    }
+
+    /// Packed lists for the geometry of a tile whose solid voxels lie between `heights`; None where something numbers the
+    /// voxels of its runs.
+    pub fn packed(modes: Modes, heights: &std::ops::RangeInclusive<u16>) -> Option<Lists> {
+        let base = u32::from(heights.start() & !15);
+        let span = u32::from(*heights.end()) + 1 - base;
+        let bits = (u32::BITS - span.leading_zeros()).max(Lists::least_bits(modes)?);
+        Some(Lists::Packed { bits, base })
+    }
+
+    /// The fewest bits of a boundary that packed lists may have; None where there may be none. A bit of fill belongs to two
+    /// bytes of a list, so that runs of surface scenes take at least two.
+    pub fn least_bits(modes: Modes) -> Option<u32> {
+        match (modes.encoding, modes.color) {
+            (Encoding::Solid, _) => Some(*PACKED_BITS.start()),
+            (Encoding::Surface, ColorMode::Voxel) => None,
+            (Encoding::Surface, _) => Some(8),
+        }
+    }
+
+    /// Form and base of the run lists of a section, in a level `ny` high.
+    pub fn of(self, section: Section, ny: u32) -> (Form, u32) {
+        match self {
+            Lists::Runs { form, base } => (form, base),
+            Lists::Packed { bits, base } if section == Section::Geometry => (Form::Packed(bits), base),
+            Lists::Packed { .. } if ny <= 256 => (Form::Narrow, 0),
+            Lists::Packed { .. } => (Form::Flat, 0),
+            Lists::Heights { .. } => unreachable!("tiles of heights have no run lists"),
+        }
     }
 }
 
@@ -118,7 +155,7 @@ impl Forms {
     /// Bytes that the offsets of grouped tables of lists count in.
     pub fn unit(&self) -> usize {
         match self.lists {
-            Lists::Runs { form: Form::Narrow, .. } => 1,
+            Lists::Runs { form: Form::Narrow, .. } | Lists::Packed { .. } => 1,
             _ => 2,
         }
     }
@@ -142,6 +179,7 @@ impl Forms {
             Lists::Runs { form: Form::Narrow, base } => (1, base),
             Lists::Runs { .. } => (2, 0),
             Lists::Heights { bytes, base } => (3 + bytes as u32, base),
+            Lists::Packed { bits, base } => (6, base | (bits - PACKED_BITS.start())),
         };
         word | lists << 11 | (self.painted as u32) << 14 | base << 16
     }
@@ -162,12 +200,17 @@ impl Forms {
             1 => Lists::Runs { form: Form::Narrow, base },
             2 => Lists::Runs { form: Form::Flat, base },
             n @ 3..=5 => Lists::Heights { bytes: n as usize - 3, base },
+            6 => Lists::Packed { bits: (base & 15) + PACKED_BITS.start(), base: base & !15 },
             _ => return None,
         };
         let painted = [Painted::Each, Painted::Run, Painted::Column, Painted::Tile][(word >> 14 & 3) as usize];
         let forms = Forms { tables: [a, b, c], group_shift: LEAST_SHIFT + (word >> 9 & 3), lists, painted };
-        let highest = if let Lists::Heights { .. } = lists { ny } else { ny - 1 };
-        let fits = GROUP_SHIFTS.contains(&forms.group_shift) && base <= highest && forms.pack(ny) == word;
+        let in_range = match lists {
+            Lists::Heights { base, .. } => base <= ny,
+            Lists::Runs { base, .. } => base < ny,
+            Lists::Packed { bits, base } => base < ny && PACKED_BITS.contains(&bits),
+        };
+        let fits = GROUP_SHIFTS.contains(&forms.group_shift) && in_range && forms.pack(ny) == word;
         fits.then_some(forms)
     }
 }
@@ -361,7 +404,11 @@ mod tests {
             for word in (0..0x1_0000).flat_map(|low: u32| [0, 1, 8, 256, 65_535].map(|base| low | base << 16)) {
                 if let Some(forms) = Forms::unpack(word, ny) {
                     assert_eq!(forms.pack(ny), word);
-                    assert!(word >> 16 <= ny);
+                    let base = match forms.lists {
+                        Lists::Packed { base, .. } => base,
+                        _ => word >> 16,
+                    };
+                    assert!(base <= ny);
                     read += 1;
                 }
             }
@@ -371,8 +418,18 @@ mod tests {
                 assert_eq!((forms.lists, forms.painted), (Lists::general(ny), Painted::Each));
             }
         }
-        // Two forms of one table; a group without a grouped table; a base where none is.
-        for word in [1 | 8, 64 | 1, 1 << 9, 3 << 9 | 64, 5 << 16, 6 << 11, 2 << 11 | 5 << 16] {
+        // Two forms of one table; a group without a grouped table; a base where none is; no lists; 18 bits; a base too high.
+        for word in [
+            1 | 8,
+            64 | 1,
+            1 << 9,
+            3 << 9 | 64,
+            5 << 16,
+            7 << 11,
+            2 << 11 | 5 << 16,
+            6 << 11 | 14 << 16,
+            6 << 11 | 304 << 16,
+        ] {
             assert_eq!(Forms::unpack(word, 300), None, "{word:#x}");
         }
     }
@@ -402,14 +459,14 @@ mod tests {
 
     #[test]
     fn forms_features_are_named_as_they_are_read() {
-        for features in (0..16).map(|code| Features::from_code(code).unwrap()) {
+        for features in (0..32).map(|code| Features::from_code(code).unwrap()) {
             assert_eq!(features.to_string().parse(), Ok(features));
         }
         assert_eq!("colors,heights".parse::<Features>().unwrap().to_string(), "heights,colors");
         assert_eq!(
             "heigths".parse::<Features>().unwrap_err(),
-            "\"heigths\" is no feature; expected auto, off, or some of heights, lists, tables, colors with commas between"
+            "\"heigths\" is no feature; expected auto, off, or some of heights, lists, tables, colors, packed with commas between"
         );
-        assert_eq!(Features::from_code(16), None);
+        assert_eq!(Features::from_code(32), None);
     }
 }

@@ -38,6 +38,8 @@ pub mod mips;
 pub mod part;
 pub mod pieces;
 pub mod read;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod remote;
 pub mod run;
 pub mod scene;
 mod scratch;

@@ -101,11 +101,21 @@ pub type RowFn = dyn Fn(Range<u32>, u32, &mut ColumnsBuilder) -> Result<()> + Se
 /// The colour of a voxel of the world.
 pub type ColorFn = dyn Fn(u32, u32, u32) -> Rgb + Send + Sync;
 
+/// Appends a colour for each of the columns `xs` of row `z`.
+pub type ColumnColorsFn = dyn Fn(Range<u32>, u32, &mut Vec<Rgb>) -> Result<()> + Send + Sync;
+
+/// Colours of [`Rows`].
+pub enum RowColors {
+    None,
+    Voxel(Arc<ColorFn>),
+    Column(Box<ColumnColorsFn>),
+}
+
 /// A world whose rows are made by a function when they are asked for.
 pub struct Rows {
     pub dims: [u32; 3],
     pub row: Box<RowFn>,
-    pub color: Option<Arc<ColorFn>>,
+    pub color: RowColors,
     pub notes: Vec<String>,
     pub input_bytes: u64,
 }
@@ -116,7 +126,7 @@ impl Pieces for Rows {
     }
 
     fn colored(&self) -> bool {
-        self.color.is_some()
+        !matches!(self.color, RowColors::None)
     }
 
     fn notes(&self) -> &[String] {
@@ -128,10 +138,15 @@ impl Pieces for Rows {
             (self.row)(xs.clone(), z + zs.start, out)
         })?;
         let colors = match &self.color {
-            None => Colors::None,
-            Some(color) => {
+            RowColors::None => Colors::None,
+            RowColors::Voxel(color) => {
                 let color = Arc::clone(color);
                 Colors::Function(Box::new(move |x, y, z| color(x + xs.start, y, z + zs.start)))
+            }
+            RowColors::Column(of) => {
+                let mut colors = Vec::with_capacity(xs.len() * zs.len());
+                zs.into_iter().try_for_each(|z| of(xs.clone(), z, &mut colors))?;
+                Colors::Column(colors)
             }
         };
         Ok(Input { columns, colors, notes: Vec::new() })

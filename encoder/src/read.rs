@@ -262,6 +262,19 @@ impl PcastFile {
         Ok(tile)
     }
 
+    /// Checks every byte of one tile, as [`PcastFile::tile`] does.
+    pub(crate) fn check_tile(&self, level: usize, tx: u32, tz: u32) -> Result<()> {
+        let Some(blob) = self.blob(level, tx, tz)? else { return Ok(()) };
+        let entry = &self.entries[self.tile_ix(level, tx, tz)];
+        match blob.heights() {
+            // Nothing but heights: to make columns of them would take longer than to look at them.
+            Some(heights) if !blob.place.modes.shows() && self.color == ColorMode::None => {
+                blob.check_heights(&heights, entry)
+            }
+            _ => blob.check_figures(&blob.level()?, entry),
+        }
+    }
+
     /// The whole scene, every byte of it checked.
     pub fn read_scene(&self) -> Result<Scene> {
         let levels = (0..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
@@ -591,6 +604,12 @@ impl<'a> Blob<'a> {
         if !painted {
             return Err(place.error(4, format!("forms {:#x}, with colours that the scene does not have", header.forms)));
         }
+        if let Lists::Packed { bits, .. } = forms.lists
+            && Lists::least_bits(place.modes).is_none_or(|least| bits < least)
+        {
+            let what = format!("forms {:#x}, with packed lists that scenes of this kind do not have", header.forms);
+            return Err(place.error(4, what));
+        }
         let blob = Blob { place, bytes, stored, header, forms, width, depth };
         blob.check_sections()?;
         Ok(blob)
@@ -701,7 +720,7 @@ impl<'a> Blob<'a> {
     fn heights_form(&self) -> Option<(usize, u32)> {
         match self.forms.lists {
             Lists::Heights { bytes, base } => Some((bytes, base)),
-            Lists::Runs { .. } => None,
+            Lists::Runs { .. } | Lists::Packed { .. } => None,
         }
     }
 
@@ -711,12 +730,9 @@ impl<'a> Blob<'a> {
         Some(Heights { width: self.width, depth: self.depth, bytes, base, above, edges })
     }
 
-    /// Form and base of the runs of a tile of lists.
-    fn list_form(&self) -> (Form, u32) {
-        match self.forms.lists {
-            Lists::Runs { form, base } => (form, base),
-            Lists::Heights { .. } => unreachable!("heights are looked at first"),
-        }
+    /// Form and base of the runs of a section, of a tile of lists.
+    fn list_form(&self, section: Section) -> (Form, u32) {
+        self.forms.lists.of(section, self.place.dims[1])
     }
 
     /// All that the tile holds, checked.
@@ -726,10 +742,7 @@ impl<'a> Blob<'a> {
         let ny = self.place.dims[1];
         let (solid, exposed) = match (self.heights(), encoding) {
             (Some(heights), _) => {
-                if let Some(ix) = (0..self.n_columns()).find(|&ix| heights.height(ix) > ny) {
-                    let what = format!("{} high, at most {ny} was expected", heights.height(ix));
-                    return Err(self.column_error(Section::Geometry, heights.bytes * ix, ix, what));
-                }
+                self.check_highest(&heights)?;
                 (heights.solid(ny), shows.then(|| heights.exposed(ny)))
             }
             (None, Encoding::Surface) => {
@@ -751,9 +764,37 @@ impl<'a> Blob<'a> {
         Ok(level)
     }
 
+    fn check_highest(&self, heights: &Heights) -> Result<()> {
+        let ny = self.place.dims[1];
+        match (0..self.n_columns()).find(|&ix| heights.height(ix) > ny) {
+            None => Ok(()),
+            Some(ix) => {
+                let what = format!("{} high, at most {ny} was expected", heights.height(ix));
+                Err(self.column_error(Section::Geometry, heights.bytes * ix, ix, what))
+            }
+        }
+    }
+
+    /// All that a tile of heights holds that has no exposed voxels and no colours.
+    fn check_heights(&self, heights: &Heights, entry: &TileEntry) -> Result<()> {
+        self.check_highest(heights)?;
+        let (mut n_solid, mut n_runs, mut top) = (0, 0, 0);
+        for h in (0..self.n_columns()).map(|ix| heights.height(ix)) {
+            (n_solid, n_runs, top) = (n_solid + u64::from(h), n_runs + u32::from(h > 0), top.max(h));
+        }
+        let y_min = if n_runs > 0 { 0 } else { u16::MAX };
+        let found = TileEntry { n_solid, n_runs, y_min, y_max: top.saturating_sub(1) as u16, ..*entry };
+        self.check_found(&found, entry)
+    }
+
     pub(crate) fn section(&self, section: Section) -> &[u8] {
         let [offset, len] = self.header.sections[section as usize].map(|n| n as usize);
         &self.bytes[offset..offset + len]
+    }
+
+    #[cfg(test)]
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
     }
 
     /// Of the blob in the file.
@@ -826,7 +867,7 @@ impl<'a> Blob<'a> {
                     _ => Section::Geometry,
                 };
                 let table = if lists == Section::Exposure { Section::ExposureTable } else { Section::GeometryTable };
-                self.column(table, lists, ix).map_or([0; 2], |c| column_rle::count(c.1, self.list_form().0))
+                self.column(table, lists, ix).map_or([0; 2], |c| column_rle::count(c.1, self.list_form(lists).0))
             }
         };
         if color == ColorMode::Voxel && self.forms.painted == Painted::Each { voxels } else { runs }
@@ -851,7 +892,7 @@ impl<'a> Blob<'a> {
     /// All columns of a list, checked.
     fn columns(&self, table: Section, lists: Section) -> Result<Columns> {
         let ny = self.place.dims[1];
-        let (form, base) = self.list_form();
+        let (form, base) = self.list_form(lists);
         let highest = if form == Form::Narrow { (ny - base).min(256) } else { ny - base };
         let n_columns = self.n_columns();
         let mut offsets = Vec::with_capacity(n_columns + 1);
@@ -918,19 +959,20 @@ impl<'a> Blob<'a> {
             let shown = if exposes { heights.find_exposed(ix, y) } else { solid.then_some([0, y as usize]) };
             return Ok((solid, shown));
         }
-        let (form, base) = self.list_form();
-        let Some(y) = y.checked_sub(base) else { return Ok((false, None)) };
+        let (form, base) = self.list_form(Section::Geometry);
+        let Some(above_base) = y.checked_sub(base) else { return Ok((false, None)) };
         let (start, column) = self.column(Section::GeometryTable, Section::Geometry, ix)?;
-        let Some(place) = column_rle::at_or_below(column, form, y) else { return Ok((false, None)) };
+        let Some(place) = column_rle::at_or_below(column, form, above_base) else { return Ok((false, None)) };
         // A forged column's run may start above y.
-        let above = y.checked_sub(place.start).filter(|&above| above < place.len);
+        let above = above_base.checked_sub(place.start).filter(|&above| above < place.len);
         let shown = above.map(|above| [place.run, place.color.wrapping_add(above) as usize]);
         if shown.is_none() {
             return Ok((encoding == Encoding::Surface && self.fill(start / 2 + place.run), None));
         }
         if encoding == Encoding::Solid && color == ColorMode::Voxel {
             let (_, column) = self.column(Section::ExposureTable, Section::Exposure, ix)?;
-            let found = column_rle::find(column, form, y);
+            let (form, base) = self.list_form(Section::Exposure);
+            let found = y.checked_sub(base).and_then(|y| column_rle::find(column, form, y));
             return Ok((true, found.map(|(run, voxel)| [run, voxel as usize])));
         }
         Ok((true, shown))
@@ -1004,12 +1046,17 @@ impl<'a> Blob<'a> {
             y_max: runs.iter().map(|r| r.last()).max().unwrap_or(0),
             ..*entry
         };
-        if found != *entry {
-            return Err(
-                place.error(0, format!("holds {}, its directory entry says {}", figures(&found), figures(entry)))
-            );
+        self.check_found(&found, entry)
+    }
+
+    fn check_found(&self, found: &TileEntry, entry: &TileEntry) -> Result<()> {
+        match found == entry {
+            true => Ok(()),
+            false => {
+                let what = format!("holds {}, its directory entry says {}", figures(found), figures(entry));
+                Err(self.place.error(0, what))
+            }
         }
-        Ok(())
     }
 }
 
@@ -1027,7 +1074,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::testing::{self, voxel_positions};
+    use crate::testing::{self, reseal, voxel_positions};
     use crate::write::{SceneWriter, write_scene, write_scene_with};
     use crate::{BuildOptions, Feature, Features, build};
 
@@ -1073,28 +1120,6 @@ mod tests {
     /// Text of the error that `bytes` must give.
     fn refused(bytes: Vec<u8>) -> String {
         read(bytes).expect_err("a planted fault must be found").to_string()
-    }
-
-    /// Makes every checksum right again, so that what is behind them is reached.
-    fn reseal(bytes: &mut [u8]) {
-        let header: Header = pod_read_unaligned(&bytes[..64]);
-        let start = header.directory as usize;
-        let Some(end) = start.checked_add(48 * header.n_tiles as usize).filter(|&end| end <= bytes.len()) else {
-            return;
-        };
-        for at in (start..end).step_by(48) {
-            let entry: TileEntry = pod_read_unaligned(&bytes[at..at + 48]);
-            let blob = (entry.offset as usize)
-                .checked_add(entry.len as usize)
-                .and_then(|end| bytes.get(entry.offset as usize..end));
-            if let Some(checksum) = blob.filter(|_| !entry.is_empty()).map(xxh3_64) {
-                bytes[at + 8..at + 16].copy_from_slice(&checksum.to_le_bytes());
-            }
-        }
-        let checksum = xxh3_64(&bytes[start..end]);
-        bytes[48..56].copy_from_slice(&checksum.to_le_bytes());
-        let checksum = xxh3_64(&bytes[..56]);
-        bytes[56..64].copy_from_slice(&checksum.to_le_bytes());
     }
 
     fn check_round_trip(columns: Columns) {
@@ -1254,14 +1279,17 @@ mod tests {
                 let bytes = written_with(&scene, features);
                 let file = opened(bytes.clone()).unwrap();
                 assert!(file.read_scene().unwrap() == scene, "{mode:?} {features}");
-                let report = crate::verify::verify(&file, false);
+                let report = crate::verify::verify(&file, crate::verify::Depth::Exposure);
                 assert!(report.faults.is_empty(), "{mode:?} {features}: {report:?}");
             }
             let file = opened(written_with(&scene, Features::ALL)).unwrap();
             assert_eq!(file.bytes[8], 3);
             let lists = |tx| file.blob(0, tx, 0).unwrap().unwrap().forms().lists;
             assert_eq!(lists(0), Lists::Heights { bytes: 1, base: 0 });
-            assert_eq!(lists(1), Lists::Runs { form: Form::Narrow, base: 131 });
+            // Of one run more than half a byte is saved by packing it; colours a voxel ask for lists with a base.
+            let narrow = Lists::Runs { form: Form::Narrow, base: 131 };
+            let packed = Lists::Packed { bits: 8, base: 128 };
+            assert_eq!(lists(1), if mode.1 == ColorMode::Voxel { narrow } else { packed });
             assert_eq!(lists(2), Lists::Heights { bytes: 0, base: 40 });
             let general = opened(written(&scene)).unwrap();
             assert_eq!(general.bytes[8], 1);
@@ -1278,6 +1306,37 @@ mod tests {
         assert_eq!(file.entries()[0].flags, 0);
         for (features, version) in [(Features::NONE, 1), (Features::ALL, 3)] {
             assert_eq!(written_with(&scene, features)[8], version);
+        }
+    }
+
+    #[test]
+    fn pcast_packed_lists_are_taken_where_they_are_shorter_and_nothing_numbers_voxels() {
+        let layers = Columns::from_fn(7, 700, 5, |x, y, z| y > 40 && (y / 24 + x + z) % 3 == 1);
+        for (mode, bits) in MODES.into_iter().zip([Some(10), Some(10), Some(10), Some(10), Some(10), None]) {
+            let scene = scene(layers.clone(), mode);
+            let good = written_with(&scene, Features::ALL);
+            let file = opened(good.clone()).unwrap();
+            let forms = file.blob(0, 0, 0).unwrap().unwrap().forms();
+            let found = match forms.lists {
+                Lists::Packed { bits, base: 32 } => Some(bits),
+                _ => None,
+            };
+            assert_eq!(found, bits, "{mode:?} {forms:?}");
+            // A scene of another kind that claims to have them, or with fewer bits than a fill bit a run asks for.
+            let at = file.entries()[0].offset as usize + 4;
+            let modes = Modes { encoding: mode.0, color: mode.1 };
+            for bits in 4..=17 {
+                let mut bytes = good.clone();
+                let forged = Forms { lists: Lists::Packed { bits, base: 32 }, ..forms };
+                bytes[at..at + 4].copy_from_slice(&forged.pack(700).to_le_bytes());
+                reseal(&mut bytes);
+                let what = "packed lists that scenes of this kind do not have";
+                let allowed = Lists::least_bits(modes).is_some_and(|least| bits >= least);
+                match read(bytes) {
+                    Ok(found) => assert!(found == scene && allowed, "{mode:?} {bits}"),
+                    Err(e) => assert_eq!(!e.to_string().contains(what), allowed, "{mode:?} {bits} {e}"),
+                }
+            }
         }
     }
 

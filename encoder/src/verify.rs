@@ -15,18 +15,39 @@ pub struct Report {
     pub faults: Vec<Error>,
 }
 
-/// Checks the tiles of a file whose header and directory were found right: their checksums; unless `quick`, every byte
-/// of them, too, and that the exposed voxels are just those with an exposed face. Three rows of tiles are in memory.
-pub fn verify(file: &PcastFile, quick: bool) -> Report {
+/// How much of a file to check.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Depth {
+    /// Checksums alone.
+    Checksums,
+    /// Every byte of every tile, too.
+    Tiles,
+    /// And that the exposed voxels are just those with an exposed face, which neighbour tiles tell.
+    Exposure,
+}
+
+/// Checks the tiles of a file whose header and directory were found right.
+pub fn verify(file: &PcastFile, depth: Depth) -> Report {
+    let tiles = file.entries().len() as u64;
+    if depth == Depth::Exposure {
+        return Report { tiles, faults: exposure(file) };
+    }
+    let faults = file.grids().iter().enumerate().flat_map(|(k, grid)| {
+        let (across, along) = (grid.tiles[0], grid.tiles[1]);
+        let tiles = (0..along).into_par_iter().flat_map_iter(move |tz| (0..across).map(move |tx| (tx, tz)));
+        let check = |(tx, tz)| match depth {
+            Depth::Checksums => file.blob(k, tx, tz).err(),
+            _ => file.check_tile(k, tx, tz).err(),
+        };
+        tiles.filter_map(check).collect::<Vec<Error>>()
+    });
+    Report { tiles, faults: faults.collect() }
+}
+
+/// What is wrong with tiles and their exposed voxels. Three rows of tiles are in memory.
+fn exposure(file: &PcastFile) -> Vec<Error> {
     let mut faults = Vec::new();
     for (k, grid) in file.grids().iter().enumerate() {
-        let row = |tz: u32| {
-            let tiles = (0..grid.tiles[0]).into_par_iter();
-            tiles.map(move |tx| match quick {
-                true => file.blob(k, tx, tz).map(|_| None),
-                false => file.tile(k, tx, tz).map(Some),
-            })
-        };
         // The row before the one that is looked at, itself, and the next; None for what is broken.
         let mut rows: VecDeque<(u32, Vec<Option<Level>>)> = VecDeque::new();
         let check = |rows: &VecDeque<(u32, Vec<Option<Level>>)>, tz: u32| {
@@ -36,18 +57,10 @@ pub fn verify(file: &PcastFile, quick: bool) -> Report {
             })
         };
         for tz in 0..grid.tiles[1] {
-            let tiles: Vec<Result<Option<Level>, Error>> = row(tz).collect();
-            let tiles = tiles.into_iter().map(|tile| {
-                tile.unwrap_or_else(|fault| {
-                    faults.push(fault);
-                    None
-                })
-            });
+            let tiles: Vec<Result<Level, Error>> =
+                (0..grid.tiles[0]).into_par_iter().map(|tx| file.tile(k, tx, tz)).collect();
+            let tiles = tiles.into_iter().map(|tile| tile.map_err(|fault| faults.push(fault)).ok());
             rows.push_back((tz, tiles.collect()));
-            if quick {
-                rows.clear();
-                continue;
-            }
             if tz > 0 {
                 faults.extend(check(&rows, tz - 1));
             }
@@ -55,18 +68,20 @@ pub fn verify(file: &PcastFile, quick: bool) -> Report {
                 rows.pop_front();
             }
         }
-        if !quick {
-            faults.extend(check(&rows, grid.tiles[1] - 1));
-        }
+        faults.extend(check(&rows, grid.tiles[1] - 1));
     }
-    Report { tiles: file.entries().len() as u64, faults }
+    faults
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::format::Section;
+    use crate::forms::Lists;
     use crate::write::write_scene_to;
     use crate::{BuildOptions, ColorMode, Columns, build, testing};
+
+    const DEPTHS: [Depth; 3] = [Depth::Checksums, Depth::Tiles, Depth::Exposure];
 
     fn scene(color: ColorMode) -> Vec<u8> {
         let columns = Columns::from_fn(600, 9, 530, |x, y, z| y < 4 + (x * 7 + z * 3) % 5);
@@ -81,8 +96,8 @@ mod tests {
     fn verify_finds_nothing_wrong_with_a_good_file() {
         for color in [ColorMode::None, ColorMode::Voxel] {
             let file = PcastFile::from_bytes("a.pcast", scene(color)).unwrap();
-            for quick in [true, false] {
-                let report = verify(&file, quick);
+            for depth in DEPTHS {
+                let report = verify(&file, depth);
                 assert!(report.faults.is_empty(), "{report:?}");
                 assert_eq!(report.tiles, 9 + 4 + 9);
             }
@@ -99,8 +114,8 @@ mod tests {
                 bytes[entry.offset as usize + entry.len as usize / 2] ^= 4;
             }
             let file = PcastFile::from_bytes("a.pcast", bytes).unwrap();
-            for quick in [true, false] {
-                let faults: Vec<String> = verify(&file, quick).faults.iter().map(Error::to_string).collect();
+            for depth in DEPTHS {
+                let faults: Vec<String> = verify(&file, depth).faults.iter().map(Error::to_string).collect();
                 assert_eq!(faults.len(), 3, "{faults:?}");
                 for (fault, place) in faults.iter().zip(["(1, 0) of level 0", "(0, 2) of level 0", "(1, 0) of level 1"])
                 {
@@ -138,17 +153,45 @@ mod tests {
             }
         }));
         bad.levels[0].colors.push([0; 3]);
-        let faults = |scene| {
+        let faults = |scene, depth| {
             let mut bytes = std::io::Cursor::new(Vec::new());
             write_scene_to(scene, &mut bytes, "a.pcast".as_ref()).unwrap();
-            let report = verify(&PcastFile::from_bytes("a.pcast", bytes.into_inner()).unwrap(), false);
+            let report = verify(&PcastFile::from_bytes("a.pcast", bytes.into_inner()).unwrap(), depth);
             report.faults.iter().map(Error::to_string).collect::<Vec<_>>()
         };
-        assert_eq!(faults(&good), [""; 0]);
-        let found = faults(&bad);
+        assert_eq!(faults(&good, Depth::Exposure), [""; 0]);
+        assert_eq!(faults(&bad, Depth::Tiles), [""; 0]);
+        let found = faults(&bad, Depth::Exposure);
         assert!(
             found.len() == 1 && found[0].contains("tile (1, 0) of level 0") && found[0].contains("exposed"),
             "{found:?}"
         );
+    }
+
+    #[test]
+    fn verify_finds_figures_of_heights_that_a_faulty_program_wrote() {
+        let columns = Columns::from_fn(300, 50, 9, |x, y, z| y < (x + 3 * z) % 50);
+        let scene = build(testing::input(columns, false), &BuildOptions::default()).unwrap();
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        write_scene_to(&scene, &mut bytes, "a.pcast".as_ref()).unwrap();
+        let bytes = bytes.into_inner();
+        let file = PcastFile::from_bytes("a.pcast", bytes.clone()).unwrap();
+        let entry = file.entries()[0];
+        let blob = file.blob(0, 0, 0).unwrap().unwrap();
+        assert!(matches!(blob.forms().lists, Lists::Heights { bytes: 1, base: 0 }));
+        // One voxel less, one more than the highest, one more than the level is high; checksums as they should be.
+        let heights = entry.offset as usize + blob.section(Section::Geometry).as_ptr() as usize
+            - file.blob(0, 0, 0).unwrap().unwrap().bytes().as_ptr() as usize;
+        for (column, value, what) in [(7, 6, "says"), (49, 50, "says"), (49, 51, "51 high, at most 50 was expected")] {
+            let mut bytes = bytes.clone();
+            bytes[heights + column] = value;
+            testing::reseal(&mut bytes);
+            let file = PcastFile::from_bytes("a.pcast", bytes).unwrap();
+            assert!(verify(&file, Depth::Checksums).faults.is_empty());
+            for depth in [Depth::Tiles, Depth::Exposure] {
+                let found = verify(&file, depth).faults;
+                assert!(found.len() == 1 && found[0].to_string().contains(what), "{column} {value} {found:?}");
+            }
+        }
     }
 }

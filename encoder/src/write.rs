@@ -365,18 +365,28 @@ impl Blob {
         let (solid, geometry) = (&tile.solid, tile.geometry(modes.encoding));
         let exposed =
             tile.exposed.as_ref().filter(|_| modes == Modes { encoding: Encoding::Solid, color: ColorMode::Voxel });
+        let kinds = [(Section::Geometry, Some(geometry)), (Section::Exposure, exposed)];
+        let mut choices = vec![self.forms.lists];
         if self.features.has(Feature::Lists) && self.ny > 256 {
-            let bytes = |form: Form| {
-                let lists = [Some(geometry), exposed].into_iter().flatten();
-                lists.map(|of| list_lens(of, form).sum::<usize>()).sum::<usize>()
-            };
-            if heights.end() - heights.start() < 256 {
-                self.forms.lists = Lists::Runs { form: Form::Narrow, base: u32::from(*heights.start()) };
-            } else if bytes(Form::Flat) < bytes(Form::Wide) {
-                self.forms.lists = Lists::Runs { form: Form::Flat, base: 0 };
-            }
+            let narrow = heights.end() - heights.start() < 256;
+            choices.push(match narrow {
+                true => Lists::Runs { form: Form::Narrow, base: u32::from(*heights.start()) },
+                false => Lists::Runs { form: Form::Flat, base: 0 },
+            });
         }
-        let made = [Some(geometry), exposed].map(|of| of.map(|of| self.encoded(of)));
+        if self.features.has(Feature::Packed) {
+            choices.extend(Lists::packed(modes, &heights));
+        }
+        if choices.len() > 1 {
+            let bytes = |lists: &Lists| {
+                let len = |(section, of): (Section, Option<&Columns>)| {
+                    of.map_or(0, |of| list_lens(of, lists.of(section, self.ny).0).sum::<usize>())
+                };
+                kinds.into_iter().map(len).sum::<usize>()
+            };
+            self.forms.lists = choices.into_iter().min_by_key(bytes).expect("the general layout is one");
+        }
+        let made = kinds.map(|(section, of)| of.map(|of| self.encoded(section, of)));
         if self.features.has(Feature::Tables) {
             // One size of group for both tables, small enough for both.
             let fits =
@@ -419,10 +429,8 @@ impl Blob {
     }
 
     /// The lists of all columns, and where each starts.
-    fn encoded(&self, of: &Columns) -> (Vec<u64>, Vec<u8>) {
-        let Lists::Runs { form, base } = self.forms.lists else {
-            unreachable!("only tiles without heights have lists")
-        };
+    fn encoded(&self, section: Section, of: &Columns) -> (Vec<u64>, Vec<u8>) {
+        let (form, base) = self.forms.lists.of(section, self.ny);
         let mut starts = Vec::with_capacity(self.n_columns);
         let mut bytes = Vec::with_capacity(4 * of.runs().len());
         let mut lowered = Vec::new();

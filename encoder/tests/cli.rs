@@ -92,7 +92,7 @@ fn cli_specialize_leaves_out_what_is_named_and_info_tells() {
     assert_eq!(encode("off"), (1, String::new()));
     assert_eq!(encode("heights"), (3, "heights".into()));
     assert_eq!(encode("tables,lists"), (3, "lists tables".into()));
-    assert_eq!(encode("auto"), (3, "heights lists tables".into()));
+    assert_eq!(encode("auto"), (3, "heights packed tables".into()));
     let (status, text) =
         fails(dir, &["encode", "a.raw", "--dims", "300,300,1", "-o", "c.pcast", "--specialize", "hights"]);
     assert_eq!(status, Some(2));

@@ -10,7 +10,8 @@ struct Fan {
     // Where the fan's stripes stand in `lines`, or NONE where they are all of one width.
     bounds: u32,
     spacing: f32,
-    _pad0: u32,
+    // Pixels along a plane.
+    pixels: u32,
 }
 
 struct Frame {

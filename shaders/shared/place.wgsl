@@ -111,6 +111,9 @@ fn place_of(x: u32, y: u32) -> Place {
     }
     let second = clamp(plane + select(1, -1, off < 0.0), 0, last);
     var sample = select(x, y, f < LEFT);
+    if (frame.fans[f].n_samples != frame.fans[f].pixels) {
+        sample = (2u * sample + 1u) * frame.fans[f].n_samples / (2u * frame.fans[f].pixels);
+    }
     if (frame.fans[f].flip == 1u) {
         sample = frame.fans[f].n_samples - 1u - sample;
     }

@@ -114,7 +114,8 @@ impl<'a> Row<'a> {
         let dy = vy - self.y * vw;
         let (n, far) = (fan.n_samples, fan.far);
         if vertical(stretch.fan) {
-            let sample = if fan.flip { n - 1 - self.row } else { self.row };
+            let sample = fan.sample_at(self.row);
+            let sample = if fan.flip { n - 1 - sample } else { sample };
             let across = if dy == 0.0 { 0.0 } else { (far - self.y) / dy };
             // A pixel at x lies on the sight line through x + across·(vx − x·vw) of the far edge.
             let (scale, start) = (1.0 - across * vw, across * vx);
@@ -122,13 +123,14 @@ impl<'a> Row<'a> {
                 place(x as usize, sample, (f64::from(x as i32) + 0.5) * scale + start);
             }
         } else {
-            let (y, flip) = (self.y, fan.flip);
+            let (y, flip, even) = (self.y, fan.flip, n == fan.pixels);
             for x in stretch.from..stretch.to {
                 let center = f64::from(x as i32) + 0.5;
                 let dx = vx - center * vw;
                 let dx = if dx == 0.0 { f64::INFINITY } else { dx };
                 let at = y + (far - center) * dy / dx;
-                place(x as usize, if flip { n - 1 - x } else { x }, at);
+                let sample = if even { x } else { fan.sample_at(x) };
+                place(x as usize, if flip { n - 1 - sample } else { sample }, at);
             }
         }
     }

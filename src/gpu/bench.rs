@@ -126,6 +126,9 @@ fn spread(mut v: Vec<f64>) -> Spread {
     }
 }
 
+/// A device that was idle takes so long to reach its clock: an H100 was slower by a factor of 3 to 4 for some seconds.
+const WARM_UP: Duration = Duration::from_secs(8);
+
 /// Draws all `poses` with each kernel, once counting work, then twice without, and times the last round; with each frame
 /// alone on the device.
 pub fn flythrough(
@@ -155,9 +158,8 @@ pub fn flythrough(
         let mut times = Vec::new();
         let mut work = [0.0; 3];
         let mut bytes_scene_gpu = 0;
-        // A device takes its time to reach its clock.
         let start = Instant::now();
-        while table.lines.is_empty() && start.elapsed() < Duration::from_secs(1) {
+        while table.lines.is_empty() && start.elapsed() < WARM_UP {
             for camera in poses.iter().take(8) {
                 gpu.render(camera, options, Outputs::default())?;
             }

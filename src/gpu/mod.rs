@@ -25,6 +25,7 @@ use crate::specialize::{Feature, Specialization, Twin};
 pub use engine::Shader;
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
+use present::ByteOrder;
 use resident::GpuResident;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
@@ -118,6 +119,9 @@ pub struct GpuRenderer<'a> {
     /// Read-back buffers that no frame is using.
     free: Vec<wgpu::Buffer>,
     shown: present::Shown,
+    /// Of frames that are shown, and of the picture in the buffer `shaded`.
+    live_order: ByteOrder,
+    shaded_order: ByteOrder,
 }
 
 /// Where a frame begins.
@@ -253,7 +257,21 @@ impl<'a> GpuRenderer<'a> {
         });
         let (buffers, pending, free) = (HashMap::new(), VecDeque::new(), Vec::new());
         let shown = present::Shown::default();
-        Ok(GpuRenderer { scene, resident, options, engine, tables, buffers, queries, pending, free, shown })
+        let (live_order, shaded_order) = Default::default();
+        Ok(GpuRenderer {
+            scene,
+            resident,
+            options,
+            engine,
+            tables,
+            buffers,
+            queries,
+            pending,
+            free,
+            shown,
+            live_order,
+            shaded_order,
+        })
     }
 
     /// The adapter's name, and its driver.
@@ -382,7 +400,7 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
-        match self.draw_from(begin, camera, options, outputs)? {
+        match self.draw_from(begin, camera, options, outputs, ByteOrder::Rgba)? {
             Drawn::Inside(frame) => self.pending.push_back(Pending::Done(frame)),
             Drawn::Sent(sent) => {
                 let Sent { plan, frame, start, setup_ms } = *sent;
@@ -393,13 +411,17 @@ impl<'a> GpuRenderer<'a> {
     }
 
     /// Sends a frame's stages to the device; the picture stays there.
-    fn draw_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Drawn> {
+    fn draw_from(
+        &mut self,
+        begin: Begin<'_>,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+        order: ByteOrder,
+    ) -> Result<Drawn> {
         check(camera, options)?;
-        if options.f64_traversal || options.ssao_samples != shade::SSAO_SAMPLES {
-            let fixed = shade::SSAO_SAMPLES;
-            return Err(Error::Argument(format!(
-                "the gpu walks in f32 and takes {fixed} occlusion samples; use the cpu"
-            )));
+        if options.f64_traversal {
+            return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
         }
         let start = Instant::now();
         if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
@@ -414,7 +436,7 @@ impl<'a> GpuRenderer<'a> {
         let upload = Upload::new(self.resident, &setup, camera, options);
         let plan = Plan::new(self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
-        self.upload(&upload, camera);
+        self.upload(&upload, camera, options.ssao_samples);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         match begin {
@@ -435,7 +457,7 @@ impl<'a> GpuRenderer<'a> {
                 self.write("image_depth", bytemuck::cast_slice(depth));
             }
         }
-        self.shade(&mut encoder, &plan)?;
+        self.shade(&mut encoder, &plan, order)?;
         if let Some(queries) = &self.queries {
             encoder.resolve_query_set(queries, 0..TIMES, &self.buffers["times"], 0);
         }
@@ -496,6 +518,7 @@ struct Plan {
     n_counters: u32,
     count: bool,
     shading: Shading,
+    ssao_samples: u32,
     specialization: Specialization,
 }
 
@@ -533,6 +556,7 @@ impl Plan {
             n_counters: 0,
             count: gpu.count,
             shading: options.shading,
+            ssao_samples: options.ssao_samples,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
         match gpu.kernel {
@@ -547,6 +571,9 @@ impl Plan {
             }
             Kernel::Workgroup => {
                 plan.lanes = gpu.lanes.unwrap_or(workgroup_lanes(plan.pixels())).min(most);
+                // Keys begin at a whole block.
+                let keys = setup.planes.iter().map(|p| (p.end - (p.first & !15)) as u32);
+                plan.longest = keys.max().unwrap_or(0).max(1);
                 let fine = plan.fine();
                 // As the shader lays them out.
                 let ground = plan.specialization.has(Feature::Horizon);
@@ -624,7 +651,7 @@ impl GpuRenderer<'_> {
             ("times", 8 * u64::from(TIMES), U::QUERY_RESOLVE),
             ("planes", u64::from(plan.n_planes) * size_of::<types::Plane>() as u64, U::STORAGE),
             ("lines", plan.lines() + 16 * u64::from(plan.n_planes), U::STORAGE),
-            ("spiral", 8 * 16 * u64::from(shade::SSAO_SAMPLES), U::STORAGE),
+            ("spiral", 8 * 16 * u64::from(plan.ssao_samples), U::STORAGE),
             ("plane_color", if plan.specialization.has(Feature::LateColor) { 0 } else { 4 * planes }, U::STORAGE),
             ("plane_depth", 4 * planes, U::STORAGE),
             ("plane_voxel", if plan.specialization.has(Feature::Packed) { 8 } else { 16 } * plane_voxel, U::STORAGE),
@@ -662,13 +689,13 @@ impl GpuRenderer<'_> {
         Ok(())
     }
 
-    fn upload(&self, upload: &Upload, camera: &Camera) {
+    fn upload(&self, upload: &Upload, camera: &Camera, ssao_samples: u32) {
         self.write("frame", bytemuck::bytes_of(&upload.frame));
         self.write("planes", bytemuck::cast_slice(&upload.planes));
         self.write("lines", bytemuck::cast_slice(&upload.lines));
         self.write_at("lines", size_of_val(&upload.lines[..]) as u64, bytemuck::cast_slice(&upload.stripes));
         self.write("holes", &[0; 4]);
-        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), shade::SSAO_SAMPLES)));
+        self.write("spiral", bytemuck::cast_slice(&shade::spiral(shade::radius_px(camera), ssao_samples)));
     }
 
     fn write(&self, name: &str, bytes: &[u8]) {
@@ -809,13 +836,19 @@ impl GpuRenderer<'_> {
         Ok(())
     }
 
-    fn shade(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
+    fn shade(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan, order: ByteOrder) -> Result<()> {
         let normals = matches!(plan.shading, Shading::Ssn | Shading::Full);
         let occlusion = matches!(plan.shading, Shading::Ssao | Shading::Full);
-        let constants = [("NORMALS", f64::from(u8::from(normals))), ("OCCLUSION", f64::from(u8::from(occlusion)))];
+        let on = |b: bool| f64::from(u8::from(b));
+        let bgra = on(order == ByteOrder::Bgra);
+        let samples = f64::from(plan.ssao_samples);
+        let constants =
+            [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
         let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
         let mut pass = self.pass(encoder, "shade", 2);
         self.dispatch(&mut pass, &pipeline, &[], [groups(plan.width, 16), groups(plan.height, 16)]);
+        drop(pass);
+        self.shaded_order = order;
         Ok(())
     }
 

@@ -52,6 +52,40 @@ impl Device {
     }
 }
 
+/// How the four bytes of a pixel follow each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ByteOrder {
+    #[default]
+    Rgba,
+    Bgra,
+}
+
+impl ByteOrder {
+    /// That of a texture's texels; `None` where they are not four bytes of colour.
+    pub fn of(format: wgpu::TextureFormat) -> Option<ByteOrder> {
+        match format.remove_srgb_suffix() {
+            wgpu::TextureFormat::Rgba8Unorm => Some(ByteOrder::Rgba),
+            wgpu::TextureFormat::Bgra8Unorm => Some(ByteOrder::Bgra),
+            _ => None,
+        }
+    }
+
+    /// A pixel in this order, from RGBA; and back, as it is its own inverse.
+    pub fn swap(self, [r, g, b, a]: [u8; 4]) -> [u8; 4] {
+        match self {
+            ByteOrder::Rgba => [r, g, b, a],
+            ByteOrder::Bgra => [b, g, r, a],
+        }
+    }
+}
+
+/// A finished picture on the device, row by row without gaps, in sRGB.
+#[derive(Clone, Copy, Debug)]
+pub struct Shaded<'b> {
+    pub buffer: &'b wgpu::Buffer,
+    pub order: ByteOrder,
+}
+
 /// Frames shown whose figures are still on their way.
 #[derive(Default)]
 pub(super) struct Shown {
@@ -85,7 +119,7 @@ impl<'a> GpuRenderer<'a> {
     /// Draws one frame and leaves the picture on the device: see [`GpuRenderer::picture`].
     pub fn draw(&mut self, camera: &Camera, options: &Options) -> Result<()> {
         self.engine.check()?;
-        match self.draw_from(Begin::Traverse, camera, options, Outputs::default())? {
+        match self.draw_from(Begin::Traverse, camera, options, Outputs::default(), self.live_order)? {
             Drawn::Inside(frame) => {
                 self.show_pixels(&frame.color)?;
             }
@@ -128,12 +162,19 @@ impl<'a> GpuRenderer<'a> {
             self.buffers.insert("shaded", buffer);
         }
         self.write("shaded", bytemuck::cast_slice(color));
+        self.shaded_order = ByteOrder::Rgba;
         Ok(())
     }
 
-    /// The picture of the frame drawn last, row by row, sRGB with r in the low byte; `None` before the first.
-    pub fn picture(&self) -> Option<&wgpu::Buffer> {
-        self.buffers.get("shaded")
+    /// The picture of the frame drawn last; `None` before the first.
+    pub fn picture(&self) -> Option<Shaded<'_>> {
+        self.buffers.get("shaded").map(|buffer| Shaded { buffer, order: self.shaded_order })
+    }
+
+    /// How the pixels of frames from the next [`GpuRenderer::draw`] on lie in their bytes: as the surface has them that
+    /// shows them.
+    pub fn set_order(&mut self, order: ByteOrder) {
+        self.live_order = order;
     }
 
     /// What the latest frame cost of which that is known by now; never waits. `None` where nothing came since.
@@ -171,32 +212,57 @@ impl<'a> GpuRenderer<'a> {
 struct Present {
     size: [u32; 2],
     surface: [u32; 2],
+    bgra: u32,
+    _pad0: u32,
 }
 
 const SHADER: &str = include_str!("../../shaders/present.wgsl");
 
-/// Puts pictures onto a surface, enlarged or reduced where their sizes differ.
+/// Puts pictures onto a surface: copies those that are as the surface has its own, and draws the others, enlarged or reduced
+/// where sizes differ.
 pub struct Presenter {
     device: Device,
     pipeline: wgpu::RenderPipeline,
     params: wgpu::Buffer,
+    /// Of pictures that can be copied; `None` where the surface takes none.
+    copied: Option<ByteOrder>,
     clock: Option<Clock>,
 }
 
-/// Times one pass a frame.
+/// How a picture came onto a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    Copied,
+    Drawn,
+}
+
+impl Way {
+    pub fn name(self) -> &'static str {
+        match self {
+            Way::Copied => "copied",
+            Way::Drawn => "drawn",
+        }
+    }
+}
+
+/// Times one copy or pass a frame.
 struct Clock {
+    /// Copies can be timed too.
+    copies: bool,
+    /// The latest frame's times are, or will be, in `resolved`.
+    written: bool,
     queries: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     readback: wgpu::Buffer,
     mapped: Option<Mapped>,
     tick_ns: f32,
-    /// Milliseconds, of the latest pass known.
+    /// Milliseconds, of the latest known.
     latest: Option<f64>,
 }
 
 impl Presenter {
-    /// For surfaces of a format.
-    pub fn new(device: &Device, format: wgpu::TextureFormat) -> Presenter {
+    /// For surfaces of a format that can be used so.
+    pub fn new(device: &Device, format: wgpu::TextureFormat, usage: wgpu::TextureUsages) -> Presenter {
         let gpu = &device.device;
         let module = gpu.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("present"),
@@ -233,6 +299,9 @@ impl Presenter {
         use wgpu::BufferUsages as U;
         let params = buffer("present", size_of::<Present>() as u64, U::UNIFORM | U::COPY_DST);
         let clock = gpu.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| Clock {
+            // llvmpipe's clock stands still while it copies.
+            copies: gpu.features().contains(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS) && !device.is_software(),
+            written: false,
             queries: gpu.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("present"),
                 ty: wgpu::QueryType::Timestamp,
@@ -244,32 +313,84 @@ impl Presenter {
             tick_ns: device.queue.get_timestamp_period(),
             latest: None,
         });
-        Presenter { device: device.clone(), pipeline, params, clock }
+        let copied = ByteOrder::of(format).filter(|_| usage.contains(wgpu::TextureUsages::COPY_DST));
+        Presenter { device: device.clone(), pipeline, params, copied, clock }
     }
 
-    /// Records the pass that shows `picture`, `size` pixels, on the whole of a surface of `surface` pixels; sends nothing.
+    /// The order that pictures of the surface's size should have.
+    pub fn order(&self) -> ByteOrder {
+        self.copied.unwrap_or_default()
+    }
+
+    /// Records what shows `picture`, `size` pixels, on the whole of a surface's texture; sends nothing.
+    ///
+    /// Where order and size are the texture's, and rows begin where copies may begin, the picture is copied: a fraction of
+    /// what a pass over all pixels takes.
     pub fn show(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
-        view: &wgpu::TextureView,
-        picture: &wgpu::Buffer,
+        texture: &wgpu::Texture,
+        picture: Shaded<'_>,
         size: [u32; 2],
-        surface: [u32; 2],
+    ) -> Way {
+        let row = 4 * size[0];
+        let same = size == [texture.width(), texture.height()];
+        let way =
+            if self.copied == Some(picture.order) && same && row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT) {
+                Way::Copied
+            } else {
+                Way::Drawn
+            };
+        let mut clock = self.clock.as_mut().filter(|c| c.mapped.is_none());
+        if let Some(c) = &mut clock {
+            c.written = way == Way::Drawn || c.copies;
+        }
+        let clock = self.clock.as_ref().filter(|c| c.mapped.is_none() && c.written);
+        match way {
+            Way::Copied => {
+                if let Some(c) = clock {
+                    encoder.write_timestamp(&c.queries, 0);
+                }
+                let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
+                let from = wgpu::TexelCopyBufferInfo { buffer: picture.buffer, layout };
+                encoder.copy_buffer_to_texture(from, texture.as_image_copy(), texture.size());
+                if let Some(c) = clock {
+                    encoder.write_timestamp(&c.queries, 1);
+                }
+            }
+            Way::Drawn => self.draw(encoder, texture, picture, size, clock),
+        }
+        if let Some(c) = clock {
+            encoder.resolve_query_set(&c.queries, 0..2, &c.resolved, 0);
+        }
+        way
+    }
+
+    fn draw(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        texture: &wgpu::Texture,
+        picture: Shaded<'_>,
+        size: [u32; 2],
+        clock: Option<&Clock>,
     ) {
-        self.device.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&Present { size, surface }));
+        let surface = [texture.width(), texture.height()];
+        let bgra = u32::from(picture.order == ByteOrder::Bgra);
+        let present = Present { size, surface, bgra, _pad0: 0 };
+        self.device.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&present));
         let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("present"),
             layout: &self.pipeline.get_bind_group_layout(0),
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: self.params.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: picture.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: picture.buffer.as_entire_binding() },
             ],
         });
-        let clock = self.clock.as_ref().filter(|c| c.mapped.is_none());
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("present"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view,
+                view: &view,
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
@@ -284,17 +405,14 @@ impl Presenter {
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.draw(0..3, 0..1);
-        drop(pass);
-        if let Some(c) = clock {
-            encoder.resolve_query_set(&c.queries, 0..2, &c.resolved, 0);
-        }
     }
 
-    /// Milliseconds that a pass of [`Presenter::show`] took on the device, of the latest that is known; to be called once
-    /// after each is submitted. `None` without timestamps, or before the first.
+    /// Milliseconds that [`Presenter::show`] took on the device, of the latest that is known; to be called once after each
+    /// is submitted. `None` where the device cannot time it, or before the first.
     pub fn ms(&mut self) -> Option<f64> {
         let clock = self.clock.as_mut()?;
         match &clock.mapped {
+            None if !clock.written => clock.latest = None,
             None => {
                 let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
                 encoder.copy_buffer_to_buffer(&clock.resolved, 0, &clock.readback, 0, 16);
@@ -337,81 +455,128 @@ mod tests {
         Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).unwrap();
     }
 
-    /// What a presenter puts on a surface of that size, and the milliseconds of the pass.
-    fn shown(gpu: &mut GpuRenderer<'_>, device: &Device, size: [u32; 2], surface: [u32; 2]) -> (Vec<[u8; 4]>, f64) {
-        let format = wgpu::TextureFormat::Rgba8Unorm;
-        let mut presenter = Presenter::new(device, format);
-        let [width, height] = surface;
-        let texture = device.device.create_texture(&wgpu::TextureDescriptor {
+    use wgpu::TextureUsages as U;
+
+    const PASS: U = U::RENDER_ATTACHMENT.union(U::COPY_SRC);
+    const COPY: U = PASS.union(U::COPY_DST);
+
+    fn texture(device: &Device, format: wgpu::TextureFormat, usage: U, [width, height]: [u32; 2]) -> wgpu::Texture {
+        device.device.create_texture(&wgpu::TextureDescriptor {
             label: None,
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            usage,
             view_formats: &[],
-        });
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        })
+    }
+
+    fn wait(device: &Device) {
+        device.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+    }
+
+    /// What a presenter puts on a surface, in RGBA, how, and the milliseconds that the device tells.
+    fn shown(
+        device: &Device,
+        picture: Shaded<'_>,
+        size: [u32; 2],
+        surface: &wgpu::Texture,
+    ) -> (Vec<[u8; 4]>, Way, Option<f64>) {
+        let order = ByteOrder::of(surface.format()).unwrap();
+        let mut presenter = Presenter::new(device, surface.format(), surface.usage());
+        let width = surface.width();
         let row = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
-            size: u64::from(row * height),
+            size: u64::from(row * surface.height()),
             usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
             mapped_at_creation: false,
         });
-        let mut ms = f64::INFINITY;
-        // The first passes wait for the GPU to wake.
+        let (mut ms, mut way) = (None::<f64>, Way::Drawn);
+        // The first ones wait for the GPU to wake.
         for _ in 0..20 {
             let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            presenter.show(&mut encoder, &view, gpu.picture().unwrap(), size, surface);
+            way = presenter.show(&mut encoder, surface, picture, size);
             let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
             let to = wgpu::TexelCopyBufferInfo { buffer: &buffer, layout };
-            encoder.copy_texture_to_buffer(texture.as_image_copy(), to, texture.size());
+            encoder.copy_texture_to_buffer(surface.as_image_copy(), to, surface.size());
             device.queue.submit([encoder.finish()]);
             for _ in 0..2 {
-                ms = ms.min(presenter.ms().unwrap_or(f64::INFINITY));
-                device.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+                let latest = presenter.ms();
+                ms = ms.into_iter().chain(latest).min_by(f64::total_cmp);
+                wait(device);
             }
         }
         buffer.map_async(wgpu::MapMode::Read, .., |_| {});
-        device.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+        wait(device);
         device.check().unwrap();
         let bytes = buffer.get_mapped_range(..).unwrap();
         let rows =
             bytes.chunks(row as usize).flat_map(|r| bytemuck::cast_slice::<u8, [u8; 4]>(&r[..4 * width as usize]));
-        (rows.copied().collect(), ms)
+        (rows.map(|p| order.swap(*p)).collect(), way, ms)
     }
 
-    #[test]
-    fn present_shows_the_picture_that_is_rendered() {
+    /// Milliseconds of one of many in one submission, as the host sees it: beside what the device's clock tells.
+    fn on_the_host(device: &Device, picture: Shaded<'_>, size: [u32; 2], surface: &wgpu::Texture) -> f64 {
+        let mut presenter = Presenter::new(device, surface.format(), surface.usage());
+        presenter.clock = None;
+        let mut run = |n: u32| {
+            let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            for _ in 0..n {
+                presenter.show(&mut encoder, surface, picture, size);
+            }
+            let commands = encoder.finish();
+            let start = Instant::now();
+            device.queue.submit([commands]);
+            wait(device);
+            start.elapsed().as_secs_f64() * 1e3
+        };
+        run(2);
+        let least = |n: u32, run: &mut dyn FnMut(u32) -> f64| (0..3).map(|_| run(n)).fold(f64::INFINITY, f64::min);
+        // What a submission takes by itself falls out.
+        (least(34, &mut run) - least(2, &mut run)) / 32.0
+    }
+
+    /// None where the tests are to do without a GPU.
+    fn device() -> Option<Device> {
         // As in tests/gpu.
         if std::env::var_os("PLANECAST_NO_GPU").is_some_and(|v| v == "1") {
             eprintln!("skipped: PLANECAST_NO_GPU=1");
-            return;
+            return None;
         }
         let adapter =
             Engine::choose(&instance(), None).expect("a Vulkan device, software will do (./test installs one)");
         let (device, queue) = pollster::block_on(adapter.request_device(&Device::wishes(&adapter))).unwrap();
-        let device = Device::new(adapter.get_info(), device, queue);
+        Some(Device::new(adapter.get_info(), device, queue))
+    }
+
+    #[test]
+    fn present_shows_the_picture_that_is_rendered() {
+        let Some(device) = device() else { return };
         let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
         let resident = Resident::new(&scene);
         let mut gpu = GpuRenderer::on_device(&scene, &resident, GpuOptions::default(), &device).unwrap();
         assert!(gpu.picture().is_none());
         let options = Options::default();
+        let format = wgpu::TextureFormat::Rgba8Unorm;
         for size in [[217, 131], [1920, 1080]] {
             let camera = tour::still(&scene, View { fov: 60.0, size, repeat: options.repeat }).camera(size);
             let rendered = gpu.render(&camera, &options, Outputs::default()).unwrap();
             gpu.draw(&camera, &options).unwrap();
-            let (pixels, ms) = shown(&mut gpu, &device, size, size);
+            let (pixels, way, _) = shown(&device, gpu.picture().unwrap(), size, &texture(&device, format, COPY, size));
             assert!(pixels == rendered.color, "{size:?}");
-            println!("{} × {}: the pass takes {ms:.4} ms on {}", size[0], size[1], device.info.name);
+            // Rows of 217 pixels cannot be copied.
+            assert_eq!(way, if size[0] == 1920 { Way::Copied } else { Way::Drawn });
             let figures = gpu.figures().unwrap().expect("the device was waited for");
             let work = |s: &Stats| (s.columns_visited, s.runs_visited, s.spans_drawn, s.planes);
             assert_eq!(work(&figures), work(&rendered.stats));
             assert!(gpu.figures().unwrap().is_none(), "once each");
             // Enlarged twice, each pixel lies within what is around it.
-            let (large, _) = shown(&mut gpu, &device, size, size.map(|n| 2 * n));
+            let twice = texture(&device, format, COPY, size.map(|n| 2 * n));
+            let (large, way, _) = shown(&device, gpu.picture().unwrap(), size, &twice);
+            assert_eq!(way, Way::Drawn);
             let mean = |p: &[[u8; 4]]| p.iter().map(|c| f64::from(c[1])).sum::<f64>() / p.len() as f64;
             assert!((mean(&large) - mean(&pixels)).abs() < 1.0);
         }
@@ -426,7 +591,52 @@ mod tests {
             height: 30,
         };
         let rendered = gpu.render(&inside, &options, Outputs::default()).unwrap();
-        gpu.draw(&inside, &options).unwrap();
-        assert!(shown(&mut gpu, &device, [40, 30], [40, 30]).0 == rendered.color);
+        for format in [wgpu::TextureFormat::Rgba8Unorm, wgpu::TextureFormat::Bgra8Unorm] {
+            gpu.set_order(ByteOrder::of(format).unwrap());
+            gpu.draw(&inside, &options).unwrap();
+            let surface = texture(&device, format, COPY, [40, 30]);
+            assert!(shown(&device, gpu.picture().unwrap(), [40, 30], &surface).0 == rendered.color);
+        }
+    }
+
+    #[test]
+    fn present_copies_what_the_pass_draws_bit_for_bit() {
+        let Some(device) = device() else { return };
+        let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
+        let resident = Resident::new(&scene);
+        let mut gpu = GpuRenderer::on_device(&scene, &resident, GpuOptions::default(), &device).unwrap();
+        let options = Options::default();
+        for size in [[192, 107], [1920, 1080]] {
+            let camera = tour::still(&scene, View { fov: 60.0, size, repeat: options.repeat }).camera(size);
+            let rendered = gpu.render(&camera, &options, Outputs::default()).unwrap();
+            for format in [wgpu::TextureFormat::Rgba8Unorm, wgpu::TextureFormat::Bgra8Unorm] {
+                let order = ByteOrder::of(format).unwrap();
+                gpu.set_order(order);
+                gpu.draw(&camera, &options).unwrap();
+                let picture = gpu.picture().unwrap();
+                assert_eq!(picture.order, order);
+                for (usage, expected) in [(COPY, Way::Copied), (PASS, Way::Drawn)] {
+                    let surface = texture(&device, format, usage, size);
+                    let (pixels, way, ms) = shown(&device, picture, size, &surface);
+                    assert_eq!(way, expected);
+                    assert!(pixels == rendered.color, "{size:?} {format:?} {way:?}");
+                    let ms = ms.map_or("not timed".into(), |ms| format!("{ms:.4} ms"));
+                    let host = on_the_host(&device, picture, size, &surface);
+                    let ([w, h], name) = (size, &device.info.name);
+                    println!("{w} × {h}, {format:?}, {}: {ms}, by the host's clock {host:.4} ms on {name}", way.name());
+                    // What is said to be in the other order comes out in other colours, whichever way it goes.
+                    let (other, its) = match order {
+                        ByteOrder::Rgba => (ByteOrder::Bgra, wgpu::TextureFormat::Bgra8Unorm),
+                        ByteOrder::Bgra => (ByteOrder::Rgba, wgpu::TextureFormat::Rgba8Unorm),
+                    };
+                    let wrong = Shaded { order: other, ..picture };
+                    let (planted, way, _) = shown(&device, wrong, size, &texture(&device, its, usage, size));
+                    assert!(way == expected && planted != rendered.color, "{way:?}: a planted fault");
+                }
+                let drawn = gpu.render(&camera, &options, Outputs::default()).unwrap();
+                assert!(drawn.color == rendered.color, "render is RGBA whatever the window has");
+                assert_eq!(gpu.picture().unwrap().order, ByteOrder::Rgba);
+            }
+        }
     }
 }

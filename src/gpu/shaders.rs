@@ -77,7 +77,6 @@ fn header() -> String {
     constant("PAINT_RUN", "1u".into());
     constant("PAINT_VOXEL", "2u".into());
     constant("PAINT_COLUMN", "3u".into());
-    constant("SSAO_SAMPLES", format!("{}u", shade::SSAO_SAMPLES));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("AMBIENT", format!("{:?}f", shade::AMBIENT));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
@@ -300,7 +299,7 @@ mod tests {
                     flip,
                     bounds,
                     spacing,
-                    _pad0
+                    pixels
                 }),
             ),
             ("Line", rust_layout!(Line { at_hi, at_lo, step_hi, step_lo, anchor, to, fan, narrow })),

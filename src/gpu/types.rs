@@ -72,7 +72,7 @@ pub struct FanParams {
     pub flip: u32,
     pub bounds: u32,
     pub spacing: f32,
-    pub _pad0: u32,
+    pub pixels: u32,
 }
 
 /// What all planes and pixels of a frame share.
@@ -296,6 +296,7 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
             first_sample: fan.first_sample as u32,
             flip: u32::from(fan.flip),
             spacing: fan.spacing as f32,
+            pixels: fan.pixels,
             ..FanParams::default()
         }
     });

@@ -159,6 +159,6 @@ pub fn choose(rows: &[Row], budget_ms: Option<f64>, max_error: Option<f64>) -> R
         row.total(),
         row.flip(),
         row.other(),
-        row.config.flags().unwrap_or_default(),
+        row.config.flags(),
     )))
 }

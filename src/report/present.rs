@@ -144,7 +144,7 @@ fn csv(plan: &Plan<'_>, rows: &[Row]) -> Result<Vec<u8>> {
                 c.name.clone(),
                 c.sweep.into(),
                 c.backend.name().into(),
-                text(c.flags()),
+                c.flags(),
                 text(c.beside_flags()),
                 pose.name.clone(),
             ];
@@ -557,7 +557,7 @@ fn front_table(page: &mut Page, rows: &[Row]) {
             head: ["configuration", "ms", "FLIP of one ray", "another voxel %", "near %", "flags"].map(String::from).to_vec(),
             rows: (front.iter())
                 .map(|r| {
-                    let flags = [r.config.flags(), r.config.beside_flags()];
+                    let flags = [Some(r.config.flags()), r.config.beside_flags()];
                     TableRow::new([
                         r.config.name.clone(),
                         ms(r.time(|t| t.total)),

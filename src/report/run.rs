@@ -107,11 +107,6 @@ impl Draw for Drawer<'_> {
         match config.backend {
             Backend::Cpu => cpu.render(camera, &config.options, outputs),
             Backend::Exact => cpu.exact(camera, &config.options, outputs),
-            Backend::EveryOtherRow => {
-                let mut frame = cpu.exact(camera, &config.options, outputs)?;
-                every_other_row(&mut frame);
-                Ok(frame)
-            }
             Backend::Gpu(kernel) => {
                 let world = if other { self.other } else { self.file };
                 let renderer = match self.gpu.entry((kernel, other)) {
@@ -127,7 +122,7 @@ impl Draw for Drawer<'_> {
     }
 
     fn holes(&mut self, config: &Config, camera: &Camera) -> [u64; 2] {
-        if matches!(config.backend, Backend::Exact | Backend::EveryOtherRow) {
+        if config.backend == Backend::Exact {
             return [0; 2];
         }
         let world = if self.is_other(config) { self.other } else { self.file };
@@ -140,20 +135,6 @@ impl Draw for Drawer<'_> {
             false => [open; 2],
         }
     }
-}
-
-/// Rows 1, 3, 5 … become those above them.
-fn every_other_row(frame: &mut Frame) {
-    fn rows<T: Copy>(values: &mut [T], width: usize) {
-        for pair in values.chunks_mut(2 * width) {
-            let (upper, lower) = pair.split_at_mut(width.min(pair.len()));
-            lower.copy_from_slice(&upper[..lower.len()]);
-        }
-    }
-    let width = frame.width as usize;
-    rows(&mut frame.color, width);
-    rows(&mut frame.depth, width);
-    rows(&mut frame.voxel, width);
 }
 
 /// A frame enlarged by repetition of pixels.
@@ -250,7 +231,7 @@ impl Plan<'_> {
             let mut told = false;
             for pose in self.poses {
                 // Configurations take turns, so that a drift of the machine's speed hits all alike.
-                for config in self.configs.iter().filter(|c| c.backend != Backend::EveryOtherRow) {
+                for config in self.configs {
                     if journal.time(&self.key(config, pose), round).is_some() {
                         continue;
                     }
@@ -294,8 +275,7 @@ impl Plan<'_> {
                 let times = self.poses.iter().map(|pose| journal.time(&self.key(config, pose), round));
                 times.collect::<Option<Vec<StageTimes>>>()
             });
-            let times: Option<Vec<Vec<StageTimes>>> =
-                if config.backend == Backend::EveryOtherRow { Some(Vec::new()) } else { times.collect() };
+            let times: Option<Vec<Vec<StageTimes>>> = times.collect();
             Ok(Row { config: config.clone(), errors: errors.ok_or_else(missing)?, times: times.ok_or_else(missing)? })
         };
         self.configs.iter().map(row).collect()

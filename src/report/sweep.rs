@@ -11,8 +11,6 @@ pub enum Backend {
     Gpu(&'static str),
     /// One f64 ray a pixel at level 0.
     Exact,
-    /// The truth itself, each second row standing twice: samples two pixels apart and everything else exact.
-    EveryOtherRow,
 }
 
 impl Backend {
@@ -21,7 +19,6 @@ impl Backend {
             Backend::Cpu => "cpu",
             Backend::Gpu(_) => "gpu",
             Backend::Exact => "exact",
-            Backend::EveryOtherRow => "emulated",
         }
     }
 }
@@ -55,7 +52,7 @@ pub struct Source {
 /// levels and their rule, equidistant stepping, gap fill, f32) put back one at a time.
 pub const SOURCES: [Source; 9] = [
     Source { name: "planes a pixel apart", without: "most exact", with: "most exact, planes 100 %" },
-    Source { name: "samples two pixels apart (emulated)", without: "exact", with: "exact, every other row" },
+    Source { name: "samples two pixels apart", without: "most exact", with: "most exact, samples 50 %" },
     Source { name: "remap by nearest plane", without: "most exact", with: "most exact, remap nearest" },
     Source { name: "levels at 2 pixels, any-solid", without: "most exact", with: "most exact, lod 2 any" },
     Source { name: "levels at 2 pixels, majority", without: "most exact", with: "most exact, lod 2 majority" },
@@ -93,6 +90,10 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
     let mut list = vec![("default".to_owned(), "default", usual, true)];
     for (percent, short) in [(25, true), (50, true), (75, false), (150, false), (200, true), (400, false)] {
         list.push((format!("planes {percent} %"), "planes", planes(f64::from(percent) / 100.0, usual), short));
+    }
+    for (percent, short) in [(50, true), (75, false), (150, false), (200, false)] {
+        let options = Options { samples: f64::from(percent) / 100.0, ..usual };
+        list.push((format!("samples {percent} %"), "samples", options, short));
     }
     for (px, short) in [(0.5, false), (2.0, true), (4.0, false), (8.0, true)] {
         list.push((format!("lod {px}"), "levels", lod(px, usual), short));
@@ -160,14 +161,13 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
     let most = Options { readjust: false, f64_traversal: true, ..planes(4.0, exact) };
     let source = |name: &str, options| Config { candidate: false, ..config(name, "source", options) };
     out.push(Config { backend: Backend::Exact, sweep: "exact", ..source("exact", usual) });
-    let row = Config { backend: Backend::EveryOtherRow, ..source("exact, every other row", usual) };
     let any = Config { rule: Some(MipRule::Any), ..source("most exact, lod 2 any", lod(2.0, most)) };
     let majority = Config { rule: Some(MipRule::Majority), ..source("most exact, lod 2 majority", lod(2.0, most)) };
     let equidistant = Options { equidistant: Some(f64::from(extent) / 8.0), ..most };
     if !few {
         out.extend([
-            row,
             source("most exact", most),
+            source("most exact, samples 50 %", Options { samples: 0.5, ..most }),
             source("most exact, planes 100 %", planes(1.0, most)),
             source("most exact, remap nearest", Options { remap: Remap::Nearest, ..most }),
             any,
@@ -183,7 +183,7 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
     if let Some((first, others)) = kernels.split_first() {
         let drawable = |c: &&Config| {
             let o = &c.options;
-            c.candidate && !o.f64_traversal && o.ssao_samples == usual.ssao_samples && c.sweep != "culling"
+            c.candidate && !o.f64_traversal && c.sweep != "culling"
         };
         let fastest: Vec<Config> = (out.iter().filter(drawable))
             .map(|c| Config { name: format!("gpu, {}", c.name), backend: Backend::Gpu(first), ..c.clone() })
@@ -198,17 +198,15 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
 }
 
 impl Config {
-    /// The flags of `render` and `fly` that draw this, beside those that every configuration of a report has; `None` where
-    /// there are none.
-    pub fn flags(&self) -> Option<String> {
+    /// The flags of `render` and `fly` that draw this, beside those that every configuration of a report has.
+    pub fn flags(&self) -> String {
         let device = match self.backend {
             Backend::Cpu => "--device cpu".to_owned(),
             Backend::Gpu(kernel) => format!("--device gpu --kernel {kernel}"),
             Backend::Exact => "--device exact".to_owned(),
-            Backend::EveryOtherRow => return None,
         };
         let flags = self.options.flags();
-        Some(if flags.is_empty() { device } else { device + " " + &flags })
+        if flags.is_empty() { device } else { device + " " + &flags }
     }
 
     /// What `flags` cannot say: a smaller picture, levels of another rule.
@@ -240,7 +238,7 @@ mod tests {
             assert!(names.contains(source.with) && names.contains(source.without), "{}", source.name);
         }
         let few = configs(512, &Options::default(), &[], true);
-        assert!(few.len() < 24 && few.iter().all(|c| all.contains(c)));
+        assert!(few.len() < 25 && few.iter().all(|c| all.contains(c)));
     }
 
     #[test]

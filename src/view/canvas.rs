@@ -6,7 +6,7 @@ use std::sync::{Arc, mpsc};
 use winit::window::Window;
 
 use super::drawer::Drawer;
-use crate::gpu::present::{Device, Presenter};
+use crate::gpu::present::{ByteOrder, Device, Presenter, Shaded, Way};
 use crate::{Error, Result};
 
 /// What is shown.
@@ -46,8 +46,9 @@ pub struct Canvas {
     presenter: Presenter,
     painter: egui_wgpu::Renderer,
     upload: Option<wgpu::Buffer>,
-    /// Milliseconds that the pass which shows the picture took on the device.
+    /// Milliseconds that showing the picture took on the device, and how it was shown.
     pub present_ms: Option<f64>,
+    pub way: Option<Way>,
 }
 
 fn instance() -> wgpu::Instance {
@@ -73,15 +74,22 @@ impl Canvas {
             surface.get_default_config(&adapter, size.width.max(1), size.height.max(1)).ok_or_else(wrong)?;
         // egui and the pictures are in sRGB bytes already.
         config.format = caps.formats.iter().copied().find(|f| !f.is_srgb()).unwrap_or(config.format);
+        // Pictures are copied onto the surface where it lets them be.
+        config.usage |= caps.usages & wgpu::TextureUsages::COPY_DST;
         if grabs && caps.usages.contains(wgpu::TextureUsages::COPY_SRC) {
             config.usage |= wgpu::TextureUsages::COPY_SRC;
         }
         config.present_mode = wgpu::PresentMode::AutoVsync;
         surface.configure(&device.device, &config);
-        let presenter = Presenter::new(&device, config.format);
+        let presenter = Presenter::new(&device, config.format, config.usage);
         let painter = egui_wgpu::Renderer::new(&device.device, config.format, egui_wgpu::RendererOptions::default());
-        let (upload, present_ms) = (None, None);
-        Ok(Canvas { instance, surface, adapter, device, config, presenter, painter, upload, present_ms })
+        let (upload, present_ms, way) = (None, None, None);
+        Ok(Canvas { instance, surface, adapter, device, config, presenter, painter, upload, present_ms, way })
+    }
+
+    /// The order that the pixels of a drawer's pictures should have.
+    pub fn order(&self) -> ByteOrder {
+        self.presenter.order()
     }
 
     pub fn size(&self) -> [u32; 2] {
@@ -126,7 +134,7 @@ impl Canvas {
             self.upload = Some(self.device.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("uploaded picture"),
                 size,
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
                 mapped_at_creation: false,
             }));
         }
@@ -182,13 +190,13 @@ impl Canvas {
             }
         };
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let mut show = |buffer: &wgpu::Buffer| self.presenter.show(&mut encoder, &view, buffer, size, surface_size);
-        let picture = match picture {
+        let mut show = |picture: Shaded<'_>| self.presenter.show(&mut encoder, &texture.texture, picture, size);
+        self.way = match picture {
             Picture::None => None,
             Picture::OnDevice(drawer) => drawer.with_picture(&mut show),
-            Picture::Here(_) => self.upload.as_ref().map(&mut show),
+            Picture::Here(_) => self.upload.as_ref().map(|buffer| show(Shaded { buffer, order: ByteOrder::Rgba })),
         };
-        let load = if picture.is_some() { wgpu::LoadOp::Load } else { wgpu::LoadOp::Clear(wgpu::Color::BLACK) };
+        let load = if self.way.is_some() { wgpu::LoadOp::Load } else { wgpu::LoadOp::Clear(wgpu::Color::BLACK) };
         {
             let mut pass = encoder
                 .begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -209,7 +217,7 @@ impl Canvas {
             None => None,
         };
         self.device.queue.submit(extra.into_iter().chain([encoder.finish()]));
-        if picture.is_some() {
+        if self.way.is_some() {
             self.present_ms = self.presenter.ms();
         }
         if let (Some(out), Some(buffer)) = (grab, grabbed) {
@@ -232,9 +240,7 @@ impl Canvas {
     }
 
     fn copy(&self, encoder: &mut wgpu::CommandEncoder, texture: &wgpu::Texture) -> Result<wgpu::Buffer> {
-        let format = self.config.format.remove_srgb_suffix();
-        let bytes = matches!(format, wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Rgba8Unorm);
-        if !bytes || !self.config.usage.contains(wgpu::TextureUsages::COPY_SRC) {
+        if ByteOrder::of(self.config.format).is_none() || !self.config.usage.contains(wgpu::TextureUsages::COPY_SRC) {
             return Err(Error::Device(format!("{}: what the window shows cannot be read back", self.device.info.name)));
         }
         let buffer = self.device.device.create_buffer(&wgpu::BufferDescriptor {
@@ -258,9 +264,9 @@ impl Canvas {
         self.device.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| failed(e.to_string()))?;
         mapped.recv().map_err(|e| failed(e.to_string()))?.map_err(|e| failed(e.to_string()))?;
         let bytes = buffer.get_mapped_range(..).map_err(|e| failed(e.to_string()))?;
-        let swapped = self.config.format.remove_srgb_suffix() == wgpu::TextureFormat::Bgra8Unorm;
+        let order = ByteOrder::of(self.config.format).unwrap_or_default();
         let rows = bytes.chunks(self.row() as usize).flat_map(|row| row[..4 * self.config.width as usize].chunks(4));
-        Ok(rows.map(|p| if swapped { [p[2], p[1], p[0], 255] } else { [p[0], p[1], p[2], 255] }).collect())
+        Ok(rows.map(|p| order.swap([p[0], p[1], p[2], 255])).collect())
     }
 }
 

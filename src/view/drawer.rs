@@ -7,7 +7,7 @@ use self_cell::self_cell;
 use super::world::World;
 use crate::camera::Camera;
 use crate::frame::{Frame, Stats};
-use crate::gpu::present::Device;
+use crate::gpu::present::{ByteOrder, Device, Shaded};
 use crate::options::Options;
 use crate::renderer::{CpuRenderer, Outputs};
 use crate::{Error, GpuOptions, GpuRenderer, Kernel, Result};
@@ -48,9 +48,7 @@ impl Draws {
     /// Options without what the GPU cannot do, where that draws: switches stay where they are when it changes.
     pub fn options(self, options: &Options) -> Options {
         match self {
-            Draws::Gpu(_) => {
-                Options { f64_traversal: false, ssao_samples: Options::default().ssao_samples, ..*options }
-            }
+            Draws::Gpu(_) => Options { f64_traversal: false, ..*options },
             Draws::Cpu | Draws::Exact => *options,
         }
     }
@@ -132,8 +130,17 @@ impl Drawer {
         })
     }
 
-    /// The buffer with the picture that [`Drawer::draw`] left on the device.
-    pub fn with_picture<T>(&self, look: impl FnOnce(&wgpu::Buffer) -> T) -> Option<T> {
+    /// How the pixels lie in their bytes that [`Drawer::draw`] leaves on the device.
+    pub fn set_order(&mut self, order: ByteOrder) {
+        self.cell.with_dependent_mut(|_, painter| {
+            if let Painter::Gpu(gpu) = painter {
+                gpu.set_order(order);
+            }
+        });
+    }
+
+    /// The picture that [`Drawer::draw`] left on the device.
+    pub fn with_picture<T>(&self, look: impl FnOnce(Shaded<'_>) -> T) -> Option<T> {
         self.cell.with_dependent(|_, painter| match painter {
             Painter::Gpu(gpu) => gpu.picture().map(look),
             _ => None,

@@ -12,7 +12,7 @@
 //! | [`drawer`] | whatever draws a scene: the GPU, the CPU, or the exact reference |
 //! | `window`, `panel`, `canvas` | the window, what egui draws in it, the surface below (feature `view`) |
 //!
-//! There is no second renderer: frames are those of [`crate::GpuRenderer`], left on the device and shown by one pass
+//! There is no second renderer: frames are those of [`crate::GpuRenderer`], left on the device and shown by one copy
 //! ([`crate::gpu::present`]), or those of [`crate::CpuRenderer`].
 
 #[cfg(feature = "view")]

@@ -27,6 +27,7 @@ use super::{Settings, last, pose_flags};
 use crate::camera::Camera;
 use crate::device::Device;
 use crate::frame::{Frame, Stats};
+use crate::gpu::present::Way;
 use crate::options::Options;
 use crate::path::{Path as Route, Pose};
 use crate::preset::Preset;
@@ -267,6 +268,9 @@ impl App {
             }
             drawer => drawer?,
         });
+        if let (Some(drawer), Some(Screen { surface: Surface::Gpu(canvas), .. })) = (&mut self.drawer, &self.screen) {
+            drawer.set_order(canvas.order());
+        }
         self.linger = LINGER;
         Ok(())
     }
@@ -621,12 +625,12 @@ impl App {
             Action::Screenshot(path) => self.screenshot(&path)?,
             Action::Grab(path) => self.grab = Some(path),
             Action::Figures(path) => {
-                let present = match self.screen.as_ref().map(|s| &s.surface) {
-                    Some(Surface::Gpu(canvas)) => canvas.present_ms,
-                    _ => None,
+                let (present, way) = match self.screen.as_ref().map(|s| &s.surface) {
+                    Some(Surface::Gpu(canvas)) => (canvas.present_ms, canvas.way.map(Way::name)),
+                    _ => (None, None),
                 };
                 let figures = serde_json::json!({
-                    "stats": self.panel.stats, "present_ms": present, "shown_fps": self.panel.fps,
+                    "stats": self.panel.stats, "present_ms": present, "present": way, "shown_fps": self.panel.fps,
                     "words": self.lines(),
                 });
                 output::write(&path, |out| output::json(out, &figures))?.finish()?;

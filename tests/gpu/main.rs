@@ -120,7 +120,14 @@ fn planes_kernels_draw_what_the_cpu_draws() {
             ("readjusted", Options { readjust: true, ..flat() }),
             ("readjusted, gap fill", Options { readjust: true, remap: Remap::Nearest, ..flat() }),
             ("equidistant", Options { equidistant: Some(60.0), ..flat() }),
+            ("few samples", Options { samples: 0.6, ..flat() }),
+            ("many samples, nearest plane", Options { samples: 1.7, remap: Remap::Nearest, ..flat() }),
+            (
+                "few samples and planes",
+                Options { samples: 0.5, planes: Planes::Factor(0.5), remap: Remap::Nearest, ..flat() },
+            ),
             ("shaded", Options::default()),
+            ("few occlusion samples", Options { ssao_samples: 4, ..Options::default() }),
             ("fog", Options { fog: Some(200.0), ..Options::default() }),
         ] {
             against_cpu(&world, gpu_options(kernel), &options, |camera, drawn, expected| {

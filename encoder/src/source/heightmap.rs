@@ -15,15 +15,15 @@
 use std::io::Cursor;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use rayon::prelude::*;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
 use super::heights::Heights;
+use super::pixels::{Pixels, Png, Stream, stream};
 use super::{ReadOptions, guarded, map, world_dims};
-use crate::pieces::{ColorFn, Rows};
+use crate::pieces::{ColumnColorsFn, RowColors, Rows};
 use crate::{ColumnsBuilder, Error, Result, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not
@@ -43,9 +43,12 @@ struct Map {
     notes: Vec<String>,
 }
 
-pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Rows> {
+pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> Result<Rows> {
     let tiff = bytes.starts_with(b"II") || bytes.starts_with(b"MM");
-    let map = if tiff { guarded(path, "TIFF", || read_tiff(path, bytes)) } else { read_image(path, bytes) }?;
+    let map = match tiff {
+        true => guarded(path, "TIFF", || read_tiff(path, stream(path, bytes, in_file)?, bytes.len())),
+        false => read_image(path, bytes, in_file),
+    }?;
     rows(path, map, bytes.len() as u64, opts)
 }
 
@@ -68,7 +71,7 @@ pub(super) fn mosaic(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
     for file in files {
         let bytes = map(file)?;
         input_bytes += bytes.len() as u64;
-        let (place, size) = guarded(file, "TIFF", || geo_place(file, &bytes))?;
+        let (place, size) = guarded(file, "TIFF", || geo_place(file, stream(file, &bytes, true)?, bytes.len()))?;
         let place = place.ok_or_else(|| Error::format(file, "no place on Earth; every tile of a mosaic needs one"))?;
         tiles.push((file, place, size));
     }
@@ -90,7 +93,7 @@ pub(super) fn mosaic(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
     let (mut pixel, mut notes) = (None, vec![format!("{} tiles, {width} × {height} pixels", tiles.len())]);
     for (file, place, _) in &tiles {
         let bytes = map(file)?;
-        let tile = guarded(file, "TIFF", || read_tiff(file, &bytes))?;
+        let tile = guarded(file, "TIFF", || read_tiff(file, stream(file, &bytes, true)?, bytes.len()))?;
         let mut row = vec![0.0; tile.heights.width as usize];
         let [x, z] = at(place).map(|v| v as u32);
         for i in 0..tile.heights.height {
@@ -111,11 +114,11 @@ struct GeoPlace {
     step: [f64; 2],
 }
 
-fn geo_place(path: &Path, bytes: &[u8]) -> Result<(Option<GeoPlace>, [u32; 2])> {
+fn geo_place(path: &Path, bytes: Box<dyn Stream + '_>, len: usize) -> Result<(Option<GeoPlace>, [u32; 2])> {
     let fail = |e: tiff::TiffError| Error::format(path, format!("TIFF: {e}"));
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(fail)?;
+    let mut decoder = Decoder::new(bytes).map_err(fail)?;
     let (width, height) = decoder.dimensions().map_err(fail)?;
-    plausible(path, width, height, bytes.len())?;
+    plausible(path, width, height, len)?;
     let mut doubles = |t: Tag| tag(&mut decoder, t).and_then(|v| v.into_f64_vec().ok()).unwrap_or_default();
     let (scale, tie) = (doubles(Tag::ModelPixelScaleTag), doubles(Tag::ModelTiepointTag));
     let place = match (scale.as_slice(), tie.as_slice()) {
@@ -129,7 +132,8 @@ fn geo_place(path: &Path, bytes: &[u8]) -> Result<(Option<GeoPlace>, [u32; 2])> 
 
 /// Whether a TIFF says where on Earth it lies.
 pub(super) fn is_geographic(path: &Path, bytes: &[u8]) -> bool {
-    guarded(path, "TIFF", || geo_place(path, bytes)).is_ok_and(|(place, _)| place.is_some())
+    guarded(path, "TIFF", || geo_place(path, stream(path, bytes, false)?, bytes.len()))
+        .is_ok_and(|(place, _)| place.is_some())
 }
 
 fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<Rows> {
@@ -171,7 +175,10 @@ fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<R
     }
 
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
-    let color = opts.colors.as_ref().map(|path| color_map(path, width, height, &mut notes)).transpose()?;
+    let color = match &opts.colors {
+        Some(path) => RowColors::Column(color_map(path, width, height, &mut notes)?),
+        None => RowColors::None,
+    };
     let row = move |xs: Range<u32>, z: u32, columns: &mut ColumnsBuilder| {
         let mut values = vec![0.0; xs.len()];
         heights.row(xs.start, z, &mut values)?;
@@ -187,7 +194,7 @@ fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<R
 }
 
 /// Decodes an image after checking what it claims against the bytes there are.
-fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
+pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
     let fail = |e: image::ImageError| Error::format(path, format!("image: {e}"));
     guarded(path, "image", || {
         let reader = || {
@@ -217,8 +224,13 @@ pub(super) fn plausible(path: &Path, w: u32, h: u32, len: usize) -> Result<()> {
 }
 
 /// PNG and JPEG.
-fn read_image(path: &Path, bytes: &[u8]) -> Result<Map> {
+fn read_image(path: &Path, bytes: &[u8], in_file: bool) -> Result<Map> {
     use image::DynamicImage::{ImageLuma8, ImageLuma16, ImageLumaA8, ImageLumaA16, ImageRgb16, ImageRgba16};
+    if bytes.starts_with(b"\x89PNG")
+        && let Some(map) = guarded(path, "image", || read_grey_png(path, stream(path, bytes, in_file)?, bytes.len()))?
+    {
+        return Ok(map);
+    }
     let image = decode(path, bytes)?;
     let (width, height) = (image.width(), image.height());
     let mut notes = Vec::new();
@@ -235,12 +247,33 @@ fn read_image(path: &Path, bytes: &[u8]) -> Result<Map> {
     Ok(Map { heights: Heights::of(width, height, &values)?, eight_bit, pixel: None, notes })
 }
 
-/// TIFF and GeoTIFF.
-fn read_tiff(path: &Path, bytes: &[u8]) -> Result<Map> {
+/// A PNG of brightness alone, row by row; None for others.
+fn read_grey_png(path: &Path, bytes: Box<dyn Stream + '_>, len: usize) -> Result<Option<Map>> {
+    let Some(png) = Png::open(path, bytes, len)? else { return Ok(None) };
+    let samples = match png.color {
+        png::ColorType::Grayscale => 1,
+        png::ColorType::GrayscaleAlpha => 2,
+        _ => return Ok(None),
+    };
+    let [width, height] = png.size;
+    let eight_bit = png.depth != png::BitDepth::Sixteen;
+    let mut heights = Heights::new(width, height)?;
+    png.rows(path, |z, row| {
+        let values: Vec<f32> = match eight_bit {
+            true => row.chunks_exact(samples).map(|p| f32::from(p[0])).collect(),
+            false => row.chunks_exact(2 * samples).map(|p| f32::from(u16::from_be_bytes([p[0], p[1]]))).collect(),
+        };
+        heights.put(0, z, width, &values)
+    })?;
+    Ok(Some(Map { heights, eight_bit, pixel: None, notes: Vec::new() }))
+}
+
+/// TIFF and GeoTIFF, a strip or a tile of it at a time.
+fn read_tiff(path: &Path, bytes: Box<dyn Stream + '_>, len: usize) -> Result<Map> {
     let fail = |e: tiff::TiffError| Error::format(path, format!("TIFF: {e}"));
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(fail)?;
+    let mut decoder = Decoder::new(bytes).map_err(fail)?;
     let (width, height) = decoder.dimensions().map_err(fail)?;
-    plausible(path, width, height, bytes.len())?;
+    plausible(path, width, height, len)?;
     let color = decoder.colortype().map_err(fail)?;
     let tiff::ColorType::Gray(bits) = color else {
         return Err(Error::format(path, format!("TIFF of {color:?}; a height map has one value a pixel")));
@@ -249,7 +282,7 @@ fn read_tiff(path: &Path, bytes: &[u8]) -> Result<Map> {
     let mut limits = Limits::default();
     limits.decoding_buffer_size = (u64::from(width) * u64::from(height) * 8).max(1 << 20) as usize;
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
-    limits.ifd_value_size = bytes.len();
+    limits.ifd_value_size = len;
     decoder = decoder.with_limits(limits);
     let mut notes = Vec::new();
     let nodata: Option<f64> = tag(&mut decoder, Tag::GdalNodata)
@@ -293,12 +326,16 @@ fn floats<T: Copy + Sync>(values: &[T], nodata: Option<f64>, to_f64: impl Fn(T) 
 }
 
 /// A tag's value, if the file has it and it is sound.
-fn tag(decoder: &mut Decoder<Cursor<&[u8]>>, tag: Tag) -> Option<tiff::decoder::ifd::Value> {
+fn tag(decoder: &mut Decoder<Box<dyn Stream + '_>>, tag: Tag) -> Option<tiff::decoder::ifd::Value> {
     decoder.find_tag(tag).ok().flatten()
 }
 
 /// Width of a pixel in units of the values, from the geo tags.
-fn pixel_width(decoder: &mut Decoder<Cursor<&[u8]>>, height: u32, notes: &mut Vec<String>) -> Option<(f64, String)> {
+fn pixel_width(
+    decoder: &mut Decoder<Box<dyn Stream + '_>>,
+    height: u32,
+    notes: &mut Vec<String>,
+) -> Option<(f64, String)> {
     let doubles = |v: tiff::decoder::ifd::Value| v.into_f64_vec().ok();
     let scale = tag(decoder, Tag::ModelPixelScaleTag).and_then(doubles)?;
     let &[sx, sy, ..] = scale.as_slice() else { return None };
@@ -342,14 +379,17 @@ fn pixel_width(decoder: &mut Decoder<Cursor<&[u8]>>, height: u32, notes: &mut Ve
 }
 
 /// The colour of a column: the nearest pixel of the colour map.
-fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> Result<Arc<ColorFn>> {
-    let bytes = map(path)?;
-    let image = decode(path, &bytes)?.to_rgb8();
-    let (w, h) = image.dimensions();
+/// Colours by nearest pixel: that which holds the centre of the column.
+fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> Result<Box<ColumnColorsFn>> {
+    let pixels = Pixels::read(path)?;
+    let (w, h) = (pixels.width, pixels.height);
     if (w, h) != (width, height) {
         notes.push(format!("the colour map has {w} × {h} pixels, the height map {width} × {height}: nearest pixels"));
     }
-    // The pixel that holds the centre of the column.
     let nearest = |i: u32, n: u32, m: u32| ((2 * u64::from(i) + 1) * u64::from(m) / (2 * u64::from(n))) as u32;
-    Ok(Arc::new(move |x, _, z| image.get_pixel(nearest(x, width, w), nearest(z, height, h)).0))
+    Ok(Box::new(move |xs, z, out| {
+        let row = pixels.row(nearest(z, height, h))?;
+        out.extend(xs.map(|x| row[nearest(x, width, w) as usize]));
+        Ok(())
+    }))
 }

@@ -10,6 +10,9 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::spots::{self, Spot};
+use super::texture::Texture;
+#[cfg(feature = "mesh")]
+use super::texture::Wrap;
 use super::{ReadOptions, Up, world_dims};
 use crate::pieces::Pieces;
 use crate::{Error, Input, Result, Rgb};
@@ -19,17 +22,45 @@ const DEFAULT_SIZE: u32 = 512;
 /// Rows of columns whose triangles are listed together.
 const BAND: u32 = 32;
 
-/// Triangles with a colour a corner.
+/// Triangles with a colour a corner, and with pictures on them that these colours tint.
 #[derive(Debug, Default)]
 pub(super) struct Mesh {
     pub positions: Vec<[f32; 3]>,
     /// One a position; empty without colours.
     pub colors: Vec<Rgb>,
     pub triangles: Vec<[u32; 3]>,
+    pub textures: Vec<Texture>,
+    /// Place on its picture, v down, one a position; empty without pictures.
+    pub uvs: Vec<[f32; 2]>,
+    /// Number of its picture, `u32::MAX` for none, one a triangle; empty without pictures.
+    pub texture_of: Vec<u32>,
     pub notes: Vec<String>,
 }
 
+/// In [`Mesh::texture_of`]: no picture.
+#[cfg(feature = "mesh")]
+const PLAIN: u32 = u32::MAX;
+
 impl Mesh {
+    /// Gives all triangles from number `first` on a picture, and all corners from number `corner` on their places on it.
+    #[cfg(feature = "mesh")]
+    fn paint(&mut self, first: usize, corner: usize, texture: u32, uvs: impl Iterator<Item = [f32; 2]>) {
+        self.texture_of.resize(first, PLAIN);
+        self.texture_of.resize(self.triangles.len(), texture);
+        self.uvs.resize(corner, [0.0; 2]);
+        self.uvs.extend(uvs);
+        self.uvs.resize(self.positions.len(), [0.0; 2]);
+    }
+
+    /// Makes what was painted as long as the mesh has become since.
+    #[cfg(feature = "mesh")]
+    fn finish_paint(&mut self) {
+        if !self.textures.is_empty() {
+            self.texture_of.resize(self.triangles.len(), PLAIN);
+            self.uvs.resize(self.positions.len(), [0.0; 2]);
+        }
+    }
+
     /// Triangles of a polygon's corners, all at its first.
     pub fn push_polygon(&mut self, corners: &[u32]) {
         for pair in corners.windows(2).skip(1) {
@@ -75,17 +106,20 @@ pub(super) struct Voxelized {
     positions: Vec<[f32; 3]>,
     colors: Vec<Rgb>,
     triangles: Vec<[u32; 3]>,
+    textures: Vec<Texture>,
+    uvs: Vec<[f32; 2]>,
+    texture_of: Vec<u32>,
     /// Triangles that touch each [`BAND`] of rows.
     bands: Vec<Vec<u32>>,
     notes: Vec<String>,
 }
 
-/// Corner of a polygon under the knife: place and colour.
-type Corner = [f64; 6];
+/// Corner of a polygon under the knife: place, colour, place on a picture.
+type Corner = [f64; 8];
 
 impl Voxelized {
     pub fn new(path: &Path, mesh: Mesh, opts: &ReadOptions) -> Result<Voxelized> {
-        let Mesh { mut positions, colors, triangles, mut notes } = mesh;
+        let Mesh { mut positions, colors, triangles, textures, uvs, texture_of, mut notes } = mesh;
         let n = positions.len();
         if let Some(t) = triangles.iter().find(|t| t.iter().any(|&i| i as usize >= n)) {
             return Err(Error::format(path, format!("a face has corners {t:?}, there are {n}")));
@@ -120,7 +154,18 @@ impl Voxelized {
                 band.push(i as u32);
             }
         }
-        Ok(Voxelized { dims, positions, colors, triangles, bands, notes })
+        Ok(Voxelized { dims, positions, colors, triangles, textures, uvs, texture_of, bands, notes })
+    }
+
+    /// The picture of triangle `i`, and which of its sizes has about a pixel a voxel there.
+    fn texture(&self, i: u32, triangle: &[Corner; 3]) -> Option<(&Texture, usize)> {
+        let texture = self.textures.get(*self.texture_of.get(i as usize)? as usize)?;
+        let side = |k: usize, axis: usize| triangle[k][axis] - triangle[0][axis];
+        // Twice the area of the shadow along the axis that is neither.
+        let shadow = |a: usize, b: usize| side(1, a) * side(2, b) - side(2, a) * side(1, b);
+        let voxels = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| shadow(a, b).powi(2)).iter().sum::<f64>().sqrt();
+        let pixels = shadow(6, 7).abs() * texture.pixels();
+        Some((texture, texture.level(pixels / voxels.max(f64::MIN_POSITIVE))))
     }
 
     /// The voxels that triangle `i` touches in the columns `xs × zs`, numbered from `x0`, `z0` with `nx` a row.
@@ -128,9 +173,11 @@ impl Voxelized {
         let corner = |v: u32| {
             let [x, y, z] = self.positions[v as usize].map(f64::from);
             let [r, g, b] = self.colors.get(v as usize).copied().unwrap_or_default().map(f64::from);
-            [x, y, z, r, g, b]
+            let [u, v] = self.uvs.get(v as usize).copied().unwrap_or_default().map(f64::from);
+            [x, y, z, r, g, b, u, v]
         };
         let triangle = self.triangles[i as usize].map(corner);
+        let texture = self.texture(i, &triangle);
         let cells = |polygon: &[Corner], axis: usize, within: &Range<u32>| {
             let low = polygon.iter().map(|c| c[axis]).fold(f64::INFINITY, f64::min);
             let high = polygon.iter().map(|c| c[axis]).fold(f64::NEG_INFINITY, f64::max);
@@ -150,7 +197,9 @@ impl Voxelized {
                     continue;
                 }
                 let n = column.len() as f64;
-                let color = [3, 4, 5].map(|k| (column.iter().map(|c| c[k]).sum::<f64>() / n).round() as u8);
+                let mean = |k: usize| column.iter().map(|c| c[k]).sum::<f64>() / n;
+                let tint = [3, 4, 5].map(|k| mean(k).round() as u8);
+                let color = texture.map_or(tint, |(texture, level)| texture.color(level, [mean(6), mean(7)], tint));
                 let column_number = number(x, z);
                 let ys = cells(&column, 1, &(0..self.dims[1]));
                 out.extend(ys.map(|y| Spot { column: column_number, y: y as u16, color }));
@@ -230,10 +279,10 @@ pub(super) fn stl(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     })
 }
 
-/// Wavefront OBJ, with vertex colours or the diffuse colours of its materials.
+/// Wavefront OBJ, with vertex colours or the diffuse colours of its materials, and with their pictures.
 #[cfg(feature = "mesh")]
 pub(super) fn obj(path: &Path, bytes: &[u8]) -> Result<Mesh> {
-    let options = tobj::LoadOptions { triangulate: true, ..Default::default() };
+    let options = tobj::LoadOptions { triangulate: true, single_index: true, ..Default::default() };
     let folder = path.parent().unwrap_or(Path::new(""));
     let fail = |e| Error::format(path, format!("OBJ: {e}"));
     let (models, materials) = super::guarded(path, "OBJ", || {
@@ -246,26 +295,73 @@ pub(super) fn obj(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     });
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let (mut colors, mut any) = (Vec::new(), false);
+    let mut textures = Textures::default();
     for tobj::Model { mesh, .. } in models {
         let base = out.positions.len() as u32;
         let n = mesh.positions.len();
         out.positions.extend_from_slice(mesh.positions.as_chunks::<3>().0);
-        let diffuse = mesh.material_id.and_then(|id| materials.get(id)?.diffuse);
+        let material = mesh.material_id.and_then(|id| materials.get(id));
+        let texture = material.and_then(|m| m.diffuse_texture.as_deref()).and_then(|named| {
+            // Options stand before the name.
+            let name = if named.starts_with('-') { named.rsplit(' ').next()? } else { named }.replace('\\', "/");
+            let file = folder.join(&name);
+            let bytes = || std::fs::read(&file).map_err(|e| Error::io(&file, "read", e));
+            textures.number(&mut out, name.clone(), [Wrap::Repeat; 2], || {
+                Texture::read(&file, &bytes()?, [Wrap::Repeat; 2])
+            })
+        });
+        // Many writers leave the diffuse colour of what has a picture black.
+        let plain = |c: [f32; 3]| if texture.is_some() && c == [0.0; 3] { [1.0; 3] } else { c };
+        let diffuse = material.and_then(|m| m.diffuse).map(plain).or(texture.map(|_| [1.0; 3]));
         any |= mesh.vertex_color.len() == n || diffuse.is_some();
         match mesh.vertex_color.len() == n {
             true => colors.extend(mesh.vertex_color.as_chunks::<3>().0.iter().map(|c| c.map(byte))),
             false => colors.extend(std::iter::repeat_n(diffuse.map_or([200; 3], |c| c.map(byte)), n / 3)),
         }
+        let first = out.triangles.len();
         out.triangles.extend(mesh.indices.as_chunks::<3>().0.iter().map(|t| t.map(|i| base + i)));
+        if let Some(texture) = texture {
+            let uvs = mesh.texcoords.as_chunks::<2>().0.iter().take(n / 3);
+            out.paint(first, base as usize, texture, uvs.map(|&[u, v]| [u, 1.0 - v]));
+        }
     }
+    out.finish_paint();
     if any {
         out.colors = colors;
     }
     Ok(out)
 }
 
-/// glTF and GLB: all meshes of the default scene, with vertex colours or the base colours of their materials. Textures
-/// are not read.
+/// The pictures of a mesh under construction, by name, each read once.
+#[cfg(feature = "mesh")]
+#[derive(Default)]
+struct Textures(std::collections::HashMap<(String, [Wrap; 2]), Option<u32>>);
+
+#[cfg(feature = "mesh")]
+impl Textures {
+    /// Number of a picture in `mesh`, read where it is new; None, with a note, where it cannot be read.
+    fn number(
+        &mut self,
+        mesh: &mut Mesh,
+        name: String,
+        wrap: [Wrap; 2],
+        read: impl FnOnce() -> Result<Texture>,
+    ) -> Option<u32> {
+        *self.0.entry((name, wrap)).or_insert_with(|| match read() {
+            Ok(texture) => {
+                mesh.textures.push(texture);
+                Some(mesh.textures.len() as u32 - 1)
+            }
+            Err(e) => {
+                mesh.notes.push(format!("a texture is left out: {e}"));
+                None
+            }
+        })
+    }
+}
+
+/// glTF and GLB: all meshes of the default scene, with vertex colours, and with the base colours and their pictures of
+/// materials.
 #[cfg(feature = "mesh")]
 pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     use crate::srgb::from_linear;
@@ -281,6 +377,7 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
             b.map(|column| std::array::from_fn(|row| (0..4).map(|k| a[k][row] * column[k]).sum()))
         };
         let mut out = Mesh::default();
+        let mut textures = Textures::default();
         let mut skipped = 0;
         let mut nodes: Vec<_> = scene.nodes().map(|node| (node, IDENTITY)).collect();
         while let Some((node, above)) = nodes.pop() {
@@ -316,7 +413,15 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
                 if primitive.indices().is_some_and(|of| of.count() != indices.len()) {
                     return Err(Error::format(path, "glTF: fewer indices than are claimed"));
                 }
+                let first = out.triangles.len();
                 out.triangles.extend_from_slice(indices.as_chunks::<3>().0);
+                let info = primitive.material().pbr_metallic_roughness().base_color_texture();
+                if let Some(info) = info
+                    && let Some(uvs) = reader.read_tex_coords(info.tex_coord())
+                    && let Some(texture) = gltf_texture(path, &info.texture(), &buffers, &mut textures, &mut out)
+                {
+                    out.paint(first, base as usize, texture, uvs.into_f32().take(n));
+                }
             }
             if out.triangles.len() > u32::MAX as usize / 4 || nodes.len() > 1 << 20 {
                 return Err(Error::Limit(format!("{}: more triangles than can be held", path.display())));
@@ -325,6 +430,43 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
         if skipped > 0 {
             out.notes.push(format!("{skipped} primitives that are no triangles are left out"));
         }
+        out.finish_paint();
         Ok(out)
     })
+}
+
+/// Number of a texture's picture: in a buffer, in the text itself, or in a file beside `path`.
+#[cfg(feature = "mesh")]
+fn gltf_texture(
+    path: &Path,
+    texture: &gltf::Texture,
+    buffers: &[gltf::buffer::Data],
+    textures: &mut Textures,
+    mesh: &mut Mesh,
+) -> Option<u32> {
+    use gltf::texture::WrappingMode;
+    let wrap = [texture.sampler().wrap_s(), texture.sampler().wrap_t()].map(|mode| match mode {
+        WrappingMode::ClampToEdge => Wrap::Clamp,
+        WrappingMode::MirroredRepeat => Wrap::Mirror,
+        WrappingMode::Repeat => Wrap::Repeat,
+    });
+    let image = texture.source();
+    let name = format!("image {}", image.index());
+    let wrong = |what: String| Error::format(path, format!("glTF: image {}: {what}", image.index()));
+    let read = || match image.source() {
+        gltf::image::Source::View { view, .. } => {
+            let bytes = buffers.get(view.buffer().index()).and_then(|buffer| {
+                let end = view.offset().checked_add(view.length())?;
+                buffer.0.get(view.offset()..end)
+            });
+            let bytes = bytes.ok_or_else(|| wrong("lies outside its buffer".to_owned()))?;
+            Texture::read(path, bytes, wrap)
+        }
+        gltf::image::Source::Uri { uri, .. } => {
+            let source = gltf::buffer::Source::Uri(uri);
+            let bytes = gltf::buffer::Data::from_source(source, path.parent()).map_err(|e| wrong(e.to_string()))?;
+            Texture::read(path, &bytes.0, wrap)
+        }
+    };
+    textures.number(mesh, name, wrap, read)
 }

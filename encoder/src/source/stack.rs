@@ -1,12 +1,13 @@
 //! Stacks of TIFF images as volumes: the pages of one file, or the files of a folder, the first being z = 0. Pages go to
 //! a file without a name, one after the other, so that the stack need not fit into memory.
 
-use std::io::{BufWriter, Cursor, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 
 use super::heightmap::plausible;
+use super::pixels::{Stream, stream};
 use super::volume::Volume;
 use super::{Dtype, ReadOptions, guarded, map};
 use crate::scratch::{self as file, File};
@@ -22,7 +23,7 @@ pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result
     for file in files {
         let bytes = map(file)?;
         guarded(file, "TIFF", || {
-            pages(file, &bytes, |size, dtype, values| {
+            pages(file, stream(file, &bytes, true)?, bytes.len(), |size, dtype, values| {
                 let &mut (expected, of) = first.get_or_insert((size, dtype));
                 if (expected, of) != (size, dtype) {
                     return Err(Error::format(
@@ -43,12 +44,17 @@ pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result
 }
 
 /// Calls `each` with the size, type and values of each page.
-fn pages(path: &Path, bytes: &[u8], mut each: impl FnMut([u32; 2], Dtype, &[u8]) -> Result<()>) -> Result<()> {
+fn pages(
+    path: &Path,
+    bytes: Box<dyn Stream + '_>,
+    len: usize,
+    mut each: impl FnMut([u32; 2], Dtype, &[u8]) -> Result<()>,
+) -> Result<()> {
     let fail = |e: tiff::TiffError| Error::format(path, format!("TIFF: {e}"));
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(fail)?;
+    let mut decoder = Decoder::new(bytes).map_err(fail)?;
     loop {
         let (width, height) = decoder.dimensions().map_err(fail)?;
-        plausible(path, width, height, bytes.len())?;
+        plausible(path, width, height, len)?;
         let color = decoder.colortype().map_err(fail)?;
         if !matches!(color, tiff::ColorType::Gray(_)) {
             return Err(Error::format(path, format!("TIFF of {color:?}; a volume has one value a voxel")));

@@ -411,9 +411,8 @@ fn heightmap_colours_are_those_of_the_nearest_pixel() {
         let f = file("h.png", &png(image));
         let o = ReadOptions { colors: Some(colors.1.clone()), ..ReadOptions::default() };
         let map = open(&f.1, &o).unwrap();
-        let Colors::Function(color) = map.colors else { panic!("no colours") };
-        let [nx, _, nz] = map.columns.dims();
-        (0..nx * nz).map(|i| color(i % nx, 0, i / nx)[0]).collect::<Vec<_>>()
+        let Colors::Column(colors) = map.colors else { panic!("no colours") };
+        colors.iter().map(|c| c[0]).collect::<Vec<_>>()
     };
     assert_eq!(read_with(image::GrayImage::new(4, 2)), [0, 10, 20, 30, 0, 10, 20, 30]);
     assert_eq!(read_with(image::GrayImage::new(2, 1)), [10, 30]);
@@ -1358,4 +1357,92 @@ fn gltf_that_is_broken_is_a_plain_error() {
     let last = bytes.len() - 2;
     bytes[last..].copy_from_slice(&9u16.to_le_bytes());
     assert!(super::read(Path::new("wrong.glb"), &bytes, &opts("--voxel 1")).is_err());
+}
+
+/// A picture of 8 × 8 pixels that all differ, and its bytes as PNG.
+#[cfg(feature = "mesh")]
+fn picture() -> (image::RgbImage, Vec<u8>) {
+    let picture =
+        image::RgbImage::from_fn(8, 8, |x, z| image::Rgb([30 * x as u8, 255 - 20 * z as u8, 9 * (x + z) as u8]));
+    let mut png = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut png, image::ImageFormat::Png).unwrap();
+    (picture, png.into_inner())
+}
+
+/// Colours of a flat world of 8 × 8 columns, as a picture.
+#[cfg(feature = "mesh")]
+fn seen_from_above(path: &Path) -> image::RgbImage {
+    let input = open(path, &opts("--voxel 1")).unwrap();
+    assert_eq!((input.columns.nx(), input.columns.nz()), (8, 8), "{:?}", input.notes);
+    let scene = crate::build(input, &crate::BuildOptions::default()).unwrap();
+    image::RgbImage::from_fn(8, 8, |x, z| image::Rgb(scene.levels[0].colors[(8 * z + x) as usize]))
+}
+
+#[test]
+#[cfg(feature = "mesh")]
+fn obj_textures_are_seen_from_above_as_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let (picture, png) = picture();
+    fs::write(dir.path().join("a picture.png"), png).unwrap();
+    // Four triangles about a point whose edges pass no corner of a voxel.
+    let obj = "mtllib m.mtl\nv 0 0 0\nv 8 0 0\nv 8 0 8\nv 0 0 8\nv 3.1 0 4.7\nvt 0 1\nvt 1 1\nvt 1 0\nvt 0 0\nvt 0.3875 0.4125\n\
+               usemtl m\nf 1/1 2/2 5/5\nf 2/2 3/3 5/5\nf 3/3 4/4 5/5\nf 4/4 1/1 5/5\n";
+    fs::write(dir.path().join("m.obj"), obj).unwrap();
+    let with = |mtl: &str| {
+        fs::write(dir.path().join("m.mtl"), format!("newmtl m\n{mtl}\n")).unwrap();
+        seen_from_above(&dir.path().join("m.obj"))
+    };
+    assert_eq!(with("map_Kd a picture.png"), picture);
+    assert_eq!(with("Kd 0 0 0\nmap_Kd a picture.png"), picture);
+    let red = with("Kd 1 0 0\nmap_Kd a picture.png");
+    assert!(red.enumerate_pixels().all(|(x, z, p)| p.0 == [picture.get_pixel(x, z).0[0], 0, 0]));
+    // A picture that is not there leaves the rest.
+    assert!(with("Kd 1 0 0\nmap_Kd none.png").pixels().all(|p| p.0 == [255, 0, 0]));
+    let notes = open(&dir.path().join("m.obj"), &opts("--voxel 1")).unwrap().notes;
+    assert!(notes.iter().any(|n| n.contains("a texture is left out") && n.contains("none.png")), "{notes:?}");
+}
+
+#[test]
+#[cfg(feature = "mesh")]
+fn gltf_textures_are_read_from_buffers_and_files_and_tinted() {
+    let dir = tempfile::tempdir().unwrap();
+    let (picture, png) = picture();
+    let corners: [[f32; 3]; 5] = [[0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [8.0, 0.0, 8.0], [0.0, 0.0, 8.0], [3.1, 0.0, 4.7]];
+    // A picture further on, which comes to the same where it repeats.
+    let uvs: [[f32; 2]; 5] = [[2.0, -1.0], [3.0, -1.0], [3.0, 0.0], [2.0, 0.0], [2.3875, -0.4125]];
+    let mut bin = [bytemuck::cast_slice(&corners), bytemuck::cast_slice(&uvs)].concat();
+    bin.extend_from_slice(bytemuck::cast_slice(&[0u16, 1, 4, 1, 2, 4, 2, 3, 4, 3, 0, 4]));
+    bin.extend_from_slice(&png);
+    fs::write(dir.path().join("m.bin"), &bin).unwrap();
+    fs::write(dir.path().join("p.png"), &png).unwrap();
+    let with = |image: &str, factor: &str| {
+        let json = format!(
+            r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}], "nodes": [{{"mesh": 0}}],
+            "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0, "TEXCOORD_0": 1}}, "indices": 2, "material": 0}}]}}],
+            "materials": [{{"pbrMetallicRoughness": {{"baseColorTexture": {{"index": 0}}, "baseColorFactor": {factor}}}}}],
+            "textures": [{{"source": 0}}], "images": [{image}],
+            "buffers": [{{"byteLength": {}, "uri": "m.bin"}}],
+            "bufferViews": [{{"buffer": 0, "byteLength": 60}}, {{"buffer": 0, "byteOffset": 60, "byteLength": 40}},
+                            {{"buffer": 0, "byteOffset": 100, "byteLength": 24}}, {{"buffer": 0, "byteOffset": 124, "byteLength": {}}}],
+            "accessors": [{{"bufferView": 0, "componentType": 5126, "count": 5, "type": "VEC3", "min": [0, 0, 0], "max": [8, 0, 8]}},
+                          {{"bufferView": 1, "componentType": 5126, "count": 5, "type": "VEC2"}},
+                          {{"bufferView": 2, "componentType": 5123, "count": 12, "type": "SCALAR"}}]}}"#,
+            bin.len(),
+            png.len()
+        );
+        fs::write(dir.path().join("m.gltf"), json).unwrap();
+        seen_from_above(&dir.path().join("m.gltf"))
+    };
+    let in_buffer = r#"{"bufferView": 3, "mimeType": "image/png"}"#;
+    assert_eq!(with(in_buffer, "[1, 1, 1, 1]"), picture);
+    assert_eq!(with(r#"{"uri": "p.png"}"#, "[1, 1, 1, 1]"), picture);
+    let red = with(in_buffer, "[1, 0, 0, 1]");
+    assert!(red.enumerate_pixels().all(|(x, z, p)| p.0 == [picture.get_pixel(x, z).0[0], 0, 0]));
+    assert!(with(r#"{"uri": "none.png"}"#, "[1, 0, 0, 1]").pixels().all(|p| p.0 == [255, 0, 0]));
+}
+
+#[test]
+fn openvdb_is_refused_with_what_to_do() {
+    let text = error("cloud.vdb", b" BDV\0\0\0\0\xde\0\0\0", "");
+    assert!(text.ends_with("OpenVDB is not read; write the grid as a dense NPY, NRRD or Zarr volume"), "{text}");
 }

@@ -50,6 +50,13 @@ enum Data<'a> {
         at: u64,
         len: u64,
     },
+    /// The same of an object elsewhere.
+    #[cfg(feature = "object-store")]
+    Object {
+        object: Box<crate::remote::Object>,
+        at: u64,
+        len: u64,
+    },
 }
 
 impl Data<'_> {
@@ -57,6 +64,17 @@ impl Data<'_> {
         match self {
             Data::Slice(bytes) => bytes.len() as u64,
             Data::File { len, .. } => *len,
+            #[cfg(feature = "object-store")]
+            Data::Object { len, .. } => *len,
+        }
+    }
+
+    /// Bytes to read at once, and whether bytes that nobody asked for are worth one reading less.
+    fn stretch(&self) -> (u64, bool) {
+        match self {
+            #[cfg(feature = "object-store")]
+            Data::Object { .. } => (OBJECT_STRETCH, true),
+            _ => (STRETCH, false),
         }
     }
 
@@ -67,6 +85,11 @@ impl Data<'_> {
             Data::File { path, file, at: start, .. } => {
                 buffer.resize(len, 0);
                 read_at(file, buffer, start + at).map_err(|e| Error::io(path, "read", e))?;
+                Ok(buffer)
+            }
+            #[cfg(feature = "object-store")]
+            Data::Object { object, at: start, .. } => {
+                object.read(start + at..start + at + len as u64, buffer)?;
                 Ok(buffer)
             }
         }
@@ -81,6 +104,8 @@ impl Data<'_> {
                 Ok(Data::File { path: path.to_owned(), file, at, len: bytes.len() as u64 })
             }
             Data::File { path, file, at, len } => Ok(Data::File { path, file, at, len }),
+            #[cfg(feature = "object-store")]
+            Data::Object { object, at, len } => Ok(Data::Object { object, at, len }),
         }
     }
 }
@@ -118,6 +143,39 @@ fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
 
 /// `--dims`, `--dtype`: values without a header.
 pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
+    Volume::new(path, raw_array(path, bytes, opts)?, opts)
+}
+
+/// A volume of which `bytes` are no more than the head right, and whose values are in `object`; None where it is a height
+/// map.
+#[cfg(feature = "object-store")]
+pub(super) fn in_object(
+    path: &Path,
+    bytes: &[u8],
+    format: super::Format,
+    object: crate::remote::Object,
+    opts: &ReadOptions,
+) -> Result<Option<Volume<'static>>> {
+    let stored = match format {
+        super::Format::Raw => raw_array(path, bytes, opts)?,
+        _ => match npy_array(path, bytes)? {
+            (3, stored) => stored,
+            _ => return Ok(None),
+        },
+    };
+    let Stored { dims, z_fastest, dtype, big_endian, scale, data, notes } = stored;
+    if opts.iso.is_none() && dtype != Dtype::U8 {
+        // Looking for the range would read it all.
+        let what = "values of this type need --iso V, voxels of at least V are solid";
+        return Err(Error::Argument(format!("{}: {what}", path.display())));
+    }
+    let Data::Slice(values) = data else { unreachable!("nothing of it was unpacked") };
+    let at = (values.as_ptr() as usize - bytes.as_ptr() as usize) as u64;
+    let data = Data::Object { object: Box::new(object), at, len: values.len() as u64 };
+    Volume::new(path, Stored { dims, z_fastest, dtype, big_endian, scale, data, notes }, opts).map(Some)
+}
+
+fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Stored<'a>> {
     let dims = opts.dims.ok_or_else(|| {
         Error::Argument(format!("{}: a raw volume needs --dims X,Y,Z (and --dtype, unless u8)", path.display()))
     })?;
@@ -135,8 +193,7 @@ pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
         ));
     }
     let data = Data::Slice(bytes);
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes: Vec::new() };
-    Volume::new(path, stored, opts)
+    Ok(Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes: Vec::new() })
 }
 
 /// NumPy: an array of shape (z, y, x).
@@ -145,23 +202,27 @@ pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
 }
 
 /// A NumPy array of two axes as heights, shape (row, column); None where it has three.
-pub(super) fn npy_heights(path: &Path, bytes: &[u8]) -> Result<Option<Heights>> {
+pub(super) fn npy_heights(path: &Path, bytes: &[u8], in_file: bool) -> Result<Option<Heights>> {
     let (2, stored) = npy_array(path, bytes)? else { return Ok(None) };
-    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data: Data::Slice(data), .. } = stored else {
-        unreachable!("an array that was not unpacked is a slice")
-    };
+    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = stored;
+    // Columns of an array that is stored by columns are gathered from all over it.
+    let data = if in_file && !z_fastest { data.in_file(path, bytes)? } else { data };
     world_dims(path, [width, 1, height], "")?;
     let mut out = Heights::new(width as u32, height as u32)?;
     let n = width as usize;
     with_sample!(dtype, big_endian, |read| {
         let size = dtype.size() as usize;
-        let value = |x: usize, z: usize| {
-            let at = size * if z_fastest { x * height as usize + z } else { z * n + x };
-            read(data[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
-        };
+        let mut buffer = Vec::new();
         // Some rows at a time, so that a large map is not in memory twice.
         for z in (0..height as usize).step_by(64) {
             let end = (z + 64).min(height as usize);
+            let from = if z_fastest { 0 } else { z };
+            let len = if z_fastest { data.len() as usize } else { (end - z) * n * size };
+            let bytes = data.read((from * n * size) as u64, len, &mut buffer)?;
+            let value = |x: usize, z: usize| {
+                let at = size * if z_fastest { x * height as usize + z } else { (z - from) * n + x };
+                read(bytes[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
+            };
             let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
             out.put(0, z as u32, width as u32, &rows)?;
         }
@@ -656,16 +717,17 @@ impl<'a> Volume<'a> {
         buffer: &mut Vec<u8>,
         mut each: impl FnMut(u64, &[u8]),
     ) -> Result<()> {
+        let [nu, ..] = self.stored;
         let n = us.end - us.start;
-        let whole = n == self.stored[0];
-        let together = if whole { (STRETCH / (n * self.size)).max(1) } else { 1 };
+        let (stretch, wasteful) = self.data.stretch();
+        let together = if wasteful || n == nu { (stretch / (nu * self.size)).max(1) } else { 1 };
         let mut v = vs.start;
         while v < vs.end {
             let end = vs.end.min(v + together);
-            // Whole rows follow each other in the file.
-            let bytes = self.row(us.start..us.start + n * (end - v), v, w, buffer)?;
-            for (i, row) in bytes.chunks_exact((n * self.size) as usize).enumerate() {
-                each(v + i as u64, row);
+            // Rows follow each other in the file, with what lies between their parts.
+            let bytes = self.row(us.start..us.start + nu * (end - v - 1) + n, v, w, buffer)?;
+            for (i, row) in bytes.chunks((nu * self.size) as usize).enumerate() {
+                each(v + i as u64, &row[..(n * self.size) as usize]);
             }
             v = end;
         }
@@ -747,6 +809,9 @@ impl<'a> Volume<'a> {
 
 /// Bytes read at once: what a core's cache holds.
 const STRETCH: u64 = 256 << 10;
+/// The same of an object elsewhere: what takes longer to come than to ask for.
+#[cfg(feature = "object-store")]
+const OBJECT_STRETCH: u64 = 8 << 20;
 
 impl Pieces for Volume<'_> {
     fn dims(&self) -> [u32; 3] {

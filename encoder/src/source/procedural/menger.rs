@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::pieces::Rows;
+use crate::pieces::{RowColors, Rows};
 use crate::{ColumnsBuilder, Error, Result, Run};
 
 /// 2,187 a side, 1.28 billion voxels.
@@ -30,7 +30,13 @@ pub fn make(size: u32) -> Result<Rows> {
     };
     let scale = 215.0 / size as f32;
     let color = move |x: u32, y: u32, z: u32| [x, y, z].map(|v| (40.0 + v as f32 * scale) as u8);
-    Ok(Rows { dims: [size; 3], row: Box::new(row), color: Some(Arc::new(color)), notes: Vec::new(), input_bytes: 0 })
+    Ok(Rows {
+        dims: [size; 3],
+        row: Box::new(row),
+        color: RowColors::Voxel(Arc::new(color)),
+        notes: Vec::new(),
+        input_bytes: 0,
+    })
 }
 
 /// The runs of the 3^places voxels from `first` on.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::blend;
 use super::noise::{Field, Octaves, sub_seed};
 use super::push_solid;
-use crate::pieces::Rows;
+use crate::pieces::{RowColors, Rows};
 use crate::{ColumnsBuilder, Rgb};
 
 /// Half the height of the layer, as a part of the cube's side.
@@ -69,5 +69,11 @@ pub fn make(size: u32, seed: u64) -> Rows {
         let t = (((y as f32 + 0.5 - middle) / half) * 0.5 + 0.5).clamp(0.0, 0.999) * 4.0;
         blend(STOPS[t as usize], STOPS[t as usize + 1], t - (t as u32) as f32)
     };
-    Rows { dims: [size; 3], row: Box::new(row), color: Some(Arc::new(color)), notes: Vec::new(), input_bytes: 0 }
+    Rows {
+        dims: [size; 3],
+        row: Box::new(row),
+        color: RowColors::Voxel(Arc::new(color)),
+        notes: Vec::new(),
+        input_bytes: 0,
+    }
 }
