@@ -126,8 +126,9 @@ fn spread(mut v: Vec<f64>) -> Spread {
     }
 }
 
-/// A device that was idle takes so long to reach its clock: an H100 was slower by a factor of 3 to 4 for some seconds.
-const WARM_UP: Duration = Duration::from_secs(8);
+/// How long a device is kept busy before each kernel, by rays, which take it longest: between short frames that are read back
+/// it idles, and an H100 then lowers its clock to a third for seconds.
+const WARM_UP: Duration = Duration::from_millis(1500);
 
 /// Draws all `poses` with each kernel, once counting work, then twice without, and times the last round; with each frame
 /// alone on the device.
@@ -158,12 +159,13 @@ pub fn flythrough(
         let mut times = Vec::new();
         let mut work = [0.0; 3];
         let mut bytes_scene_gpu = 0;
+        let mut warm_up =
+            GpuRenderer::new(scene, resident, GpuOptions { kernel: Kernel::Raycast, ..GpuOptions::default() })?;
         let start = Instant::now();
-        while table.lines.is_empty() && start.elapsed() < WARM_UP {
-            for camera in poses.iter().take(8) {
-                gpu.render(camera, options, Outputs::default())?;
-            }
+        for camera in poses.iter().cycle().take_while(|_| start.elapsed() < WARM_UP) {
+            warm_up.render(camera, options, Outputs::default())?;
         }
+        drop(warm_up);
         for camera in poses {
             let stats = gpu.render(camera, options, Outputs::default())?.stats;
             bytes_scene_gpu = stats.bytes_scene_gpu;

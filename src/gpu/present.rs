@@ -216,12 +216,15 @@ struct Present {
 }
 
 const SHADER: &str = include_str!("../../shaders/present.wgsl");
+const WRITE_SHADER: &str = include_str!("../../shaders/present_write.wgsl");
 
-/// Puts pictures onto a surface: copies those that are as the surface has its own, and draws the others, enlarged or reduced
-/// where sizes differ.
+/// Puts pictures onto a surface: writes or copies those that have its size, as it lets them be, and draws the others, enlarged
+/// or reduced where sizes differ.
 pub struct Presenter {
     device: Device,
     pipeline: wgpu::RenderPipeline,
+    /// `None` where the surface cannot be written to.
+    write: Option<wgpu::ComputePipeline>,
     params: wgpu::Buffer,
     /// Of pictures that can be copied; `None` where the surface takes none.
     copied: Option<ByteOrder>,
@@ -231,6 +234,7 @@ pub struct Presenter {
 /// How a picture came onto a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
+    Written,
     Copied,
     Drawn,
 }
@@ -238,6 +242,7 @@ pub enum Way {
 impl Way {
     pub fn name(self) -> &'static str {
         match self {
+            Way::Written => "written",
             Way::Copied => "copied",
             Way::Drawn => "drawn",
         }
@@ -259,7 +264,27 @@ struct Clock {
     latest: Option<f64>,
 }
 
+/// What shaders call a format that a surface used so can be written in; `None` where it cannot be.
+fn writable(device: &Device, format: wgpu::TextureFormat, usage: wgpu::TextureUsages) -> Option<&'static str> {
+    let swapped = device.device.features().contains(wgpu::Features::BGRA8UNORM_STORAGE);
+    match format {
+        _ if !usage.contains(wgpu::TextureUsages::STORAGE_BINDING) => None,
+        wgpu::TextureFormat::Rgba8Unorm => Some("rgba8unorm"),
+        wgpu::TextureFormat::Bgra8Unorm if swapped => Some("bgra8unorm"),
+        _ => None,
+    }
+}
+
 impl Presenter {
+    /// How surfaces of a format are to be used, of what they offer.
+    pub fn usage(device: &Device, format: wgpu::TextureFormat, offered: wgpu::TextureUsages) -> wgpu::TextureUsages {
+        let copy = offered & wgpu::TextureUsages::COPY_DST;
+        match writable(device, format, offered) {
+            Some(_) => copy | wgpu::TextureUsages::STORAGE_BINDING,
+            None => copy,
+        }
+    }
+
     /// For surfaces of a format that can be used so.
     pub fn new(device: &Device, format: wgpu::TextureFormat, usage: wgpu::TextureUsages) -> Presenter {
         let gpu = &device.device;
@@ -313,7 +338,22 @@ impl Presenter {
             latest: None,
         });
         let copied = ByteOrder::of(format).filter(|_| usage.contains(wgpu::TextureUsages::COPY_DST));
-        Presenter { device: device.clone(), pipeline, params, copied, clock }
+        let write = writable(device, format, usage).map(|name| {
+            let source = WRITE_SHADER.replace("<FORMAT,", &format!("<{name},"));
+            let module = gpu.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("present_write"),
+                source: wgpu::ShaderSource::Wgsl(source.into()),
+            });
+            gpu.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some("present_write"),
+                layout: None,
+                module: &module,
+                entry_point: Some("main"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        });
+        Presenter { device: device.clone(), pipeline, write, params, copied, clock }
     }
 
     /// The order that pictures of the surface's size should have.
@@ -323,8 +363,8 @@ impl Presenter {
 
     /// Records what shows `picture`, `size` pixels, on the whole of a surface's texture; sends nothing.
     ///
-    /// Where order and size are the texture's, and rows begin where copies may begin, the picture is copied: a fraction of
-    /// what a pass over all pixels takes.
+    /// Where the size is the texture's, the picture is written into it or, where the order is, too, and rows begin where
+    /// copies may begin, copied: a fraction of what a pass over all pixels takes.
     pub fn show(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
@@ -334,15 +374,16 @@ impl Presenter {
     ) -> Way {
         let row = 4 * size[0];
         let same = size == [texture.width(), texture.height()];
-        let way =
-            if self.copied == Some(picture.order) && same && row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT) {
-                Way::Copied
-            } else {
-                Way::Drawn
-            };
+        let copies = self.copied == Some(picture.order) && row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let way = match &self.write {
+            // A processor that plays GPU copies faster.
+            Some(_) if same && !(copies && self.device.is_software()) => Way::Written,
+            _ if same && copies => Way::Copied,
+            _ => Way::Drawn,
+        };
         let mut clock = self.clock.as_mut().filter(|c| c.mapped.is_none());
         if let Some(c) = &mut clock {
-            c.written = way == Way::Drawn || c.copies;
+            c.written = way != Way::Copied || c.copies;
         }
         let clock = self.clock.as_ref().filter(|c| c.mapped.is_none() && c.written);
         match way {
@@ -358,11 +399,52 @@ impl Presenter {
                 }
             }
             Way::Drawn => self.draw(encoder, texture, picture, size, clock),
+            Way::Written => self.write(encoder, texture, picture, size, clock),
         }
         if let Some(c) = clock {
             encoder.resolve_query_set(&c.queries, 0..2, &c.resolved, 0);
         }
         way
+    }
+
+    fn tell(&self, texture: &wgpu::Texture, picture: Shaded<'_>, size: [u32; 2]) {
+        let surface = [texture.width(), texture.height()];
+        let bgra = u32::from(picture.order == ByteOrder::Bgra);
+        let present = Present { size, surface, bgra, _pad0: 0 };
+        self.device.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&present));
+    }
+
+    fn write(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        texture: &wgpu::Texture,
+        picture: Shaded<'_>,
+        size: [u32; 2],
+        clock: Option<&Clock>,
+    ) {
+        let Some(pipeline) = &self.write else { return };
+        self.tell(texture, picture, size);
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("present_write"),
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: self.params.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: picture.buffer.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&view) },
+            ],
+        });
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("present_write"),
+            timestamp_writes: clock.map(|c| wgpu::ComputePassTimestampWrites {
+                query_set: &c.queries,
+                beginning_of_pass_write_index: Some(0),
+                end_of_pass_write_index: Some(1),
+            }),
+        });
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(size[0].div_ceil(16), size[1].div_ceil(16), 1);
     }
 
     fn draw(
@@ -373,10 +455,7 @@ impl Presenter {
         size: [u32; 2],
         clock: Option<&Clock>,
     ) {
-        let surface = [texture.width(), texture.height()];
-        let bgra = u32::from(picture.order == ByteOrder::Bgra);
-        let present = Present { size, surface, bgra, _pad0: 0 };
-        self.device.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&present));
+        self.tell(texture, picture, size);
         let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("present"),
             layout: &self.pipeline.get_bind_group_layout(0),
@@ -458,6 +537,7 @@ mod tests {
 
     const PASS: U = U::RENDER_ATTACHMENT.union(U::COPY_SRC);
     const COPY: U = PASS.union(U::COPY_DST);
+    const WRITE: U = PASS.union(U::STORAGE_BINDING);
 
     fn texture(device: &Device, format: wgpu::TextureFormat, usage: U, [width, height]: [u32; 2]) -> wgpu::Texture {
         device.device.create_texture(&wgpu::TextureDescriptor {
@@ -599,7 +679,7 @@ mod tests {
     }
 
     #[test]
-    fn present_copies_what_the_pass_draws_bit_for_bit() {
+    fn present_copies_and_writes_what_the_pass_draws_bit_for_bit() {
         let Some(device) = device() else { return };
         let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
         let resident = Resident::new(&scene);
@@ -614,7 +694,8 @@ mod tests {
                 gpu.draw(&camera, &options).unwrap();
                 let picture = gpu.picture().unwrap();
                 assert_eq!(picture.order, order);
-                for (usage, expected) in [(COPY, Way::Copied), (PASS, Way::Drawn)] {
+                let writes = [(WRITE, Way::Written)].into_iter().filter(|_| writable(&device, format, WRITE).is_some());
+                for (usage, expected) in [(COPY, Way::Copied), (PASS, Way::Drawn)].into_iter().chain(writes) {
                     let surface = texture(&device, format, usage, size);
                     let (pixels, way, ms) = shown(&device, picture, size, &surface);
                     assert_eq!(way, expected);
@@ -629,6 +710,9 @@ mod tests {
                         ByteOrder::Bgra => (ByteOrder::Rgba, wgpu::TextureFormat::Rgba8Unorm),
                     };
                     let wrong = Shaded { order: other, ..picture };
+                    if way == Way::Written && writable(&device, its, usage).is_none() {
+                        continue;
+                    }
                     let (planted, way, _) = shown(&device, wrong, size, &texture(&device, its, usage, size));
                     assert!(way == expected && planted != rendered.color, "{way:?}: a planted fault");
                 }

@@ -80,8 +80,8 @@ impl Canvas {
             surface.get_default_config(&adapter, size.width.max(1), size.height.max(1)).ok_or_else(wrong)?;
         // egui and the pictures are in sRGB bytes already.
         config.format = caps.formats.iter().copied().find(|f| !f.is_srgb()).unwrap_or(config.format);
-        // Pictures are copied onto the surface where it lets them be.
-        config.usage |= caps.usages & wgpu::TextureUsages::COPY_DST;
+        // Pictures are written or copied onto the surface where it lets them be.
+        config.usage |= Presenter::usage(&device, config.format, caps.usages);
         if grabs && caps.usages.contains(wgpu::TextureUsages::COPY_SRC) {
             config.usage |= wgpu::TextureUsages::COPY_SRC;
         }
