@@ -86,9 +86,9 @@ async fn shows(canvas: HtmlCanvasElement, [width, height]: [u32; 2]) -> Result<S
     let mut config = surface.get_default_config(&adapter, width, height).ok_or("the canvas cannot be drawn on")?;
     let formats = surface.get_capabilities(&adapter).formats;
     config.format = formats.into_iter().find(|f| !f.is_srgb()).unwrap_or(config.format);
-    config.usage |= surface.get_capabilities(&adapter).usages & wgpu::TextureUsages::COPY_DST;
-    surface.configure(&device, &config);
     let device = Device::new(adapter.get_info(), device, queue);
+    config.usage |= Presenter::usage(&device, config.format, surface.get_capabilities(&adapter).usages);
+    surface.configure(&device.device, &config);
     let presenter = Presenter::new(&device, config.format, config.usage);
     Ok(Shows { surface, config, device, presenter })
 }
