@@ -175,10 +175,10 @@ fn window_shows_what_render_draws_while_it_flies_and_is_resized() {
     assert_eq!(pictures(&shot.1, &drawn.1), Difference::default(), "the screenshot after flight and resize");
     assert_ne!(eye(commands[0]), eye(commands[1]), "W flies");
     assert!(commands[1].contains("--roll -"), "Q rolls: {}", commands[1]);
-    // Rows of 320 pixels can be copied onto the surface; those of 333 are drawn.
+    // Rows of 320 pixels can be copied onto the surface; those of 333 are written into it.
     assert_eq!(place.json("first.json")["present"], "copied");
     let figures = place.json("figures.json");
-    assert_eq!(figures["present"], "drawn");
+    assert_eq!(figures["present"], "written");
     assert_eq!((&figures["stats"]["width"], &figures["stats"]["kernel"]), (&json!(333), &json!("workgroup")));
 }
 
