@@ -572,7 +572,7 @@ impl Plan {
             Kernel::Workgroup => {
                 plan.lanes = gpu.lanes.unwrap_or(workgroup_lanes(plan.pixels())).min(most);
                 // Keys begin at a whole block.
-                let keys = setup.planes.iter().map(|p| (p.end - (p.first & !15)) as u32);
+                let keys = setup.planes.iter().map(|p| p.end - (p.first & !15));
                 plan.longest = keys.max().unwrap_or(0).max(1);
                 let fine = plan.fine();
                 // As the shader lays them out.
