@@ -79,6 +79,34 @@ impl Place {
         String::from_utf8(output.stdout).unwrap()
     }
 
+    /// Tells all programs on the display how fine it is.
+    fn dots_an_inch(&self, dots: u32) {
+        use x11rb::connection::Connection;
+        use x11rb::protocol::xproto::{AtomEnum, ConnectionExt as _, PropMode};
+        use x11rb::wrapper::ConnectionExt as _;
+        let (server, screen) = x11rb::connect(Some(&self.display)).unwrap();
+        let (root, text) = (server.setup().roots[screen].root, format!("Xft.dpi:\t{dots}\n"));
+        // A change of the display's settings is heard at their owner's window, where a desktop runs, and at the windows
+        // themselves.
+        let windows = server.query_tree(root).unwrap().reply().unwrap().children;
+        for window in [root].into_iter().chain(windows) {
+            let (property, kind) = (AtomEnum::RESOURCE_MANAGER, AtomEnum::STRING);
+            let set = server.change_property8(PropMode::REPLACE, window, property, kind, text.as_bytes());
+            set.unwrap().check().unwrap();
+        }
+    }
+
+    /// Waits for a file that a script writes, as long as the script runs.
+    fn once_there(&self, name: &str, child: &mut Child) {
+        for _ in 0..3000 {
+            if self.path(name).exists() || child.try_wait().unwrap().is_some() {
+                return;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+        panic!("{name} is not there after five minutes");
+    }
+
     fn script(&self, actions: Value) -> String {
         fs::write(self.path("script.json"), actions.to_string()).unwrap();
         "--script script.json".into()
@@ -182,6 +210,54 @@ fn window_goes_on_after_a_lost_device_no_size_and_broken_files() {
     let scene = command.split_whitespace().nth(2).unwrap();
     place.again(&command.replace(scene, "shapes.pcast"));
     assert_eq!(pictures(&place.picture("shot.png").1, &place.picture("again.png").1), Difference::default());
+}
+
+#[test]
+fn window_goes_on_after_a_lost_surface_sleep_and_a_change_of_resolution() {
+    let place = Place::new();
+    let script = place.script(json!([
+        {"t": 0, "key": "Tab"},
+        {"t": 0.1, "surface": "outdated"},
+        {"t": 0.2, "surface": "lost"},
+        {"t": 0.3, "grab": "renewed.png"},
+        {"t": 0.3, "figures": "renewed.json"},
+        {"t": 0.4, "press": "KeyW"},
+        {"t": 0.4, "sleep": 3600},
+        {"t": 0.6, "occluded": true},
+        {"t": 0.7, "figures": "occluded.json"},
+        {"t": 0.7, "occluded": false},
+        {"t": 0.8, "scale": 2},
+        {"t": 0.9, "resize": [320, 192]},
+        {"t": 1, "grab": "scaled.png"},
+        {"t": 1, "figures": "scaled.json"},
+        {"t": 1, "key": "KeyC"},
+        {"t": 1.1, "scale": 1},
+        {"t": 1.2, "figures": "back.json"},
+        {"t": 1.2, "quit": {}}
+    ]));
+    let mut command = place.command(&format!("view a.pcast --window 320x200 --device gpu {script}"));
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    place.once_there("occluded.json", &mut child);
+    place.dots_an_inch(192);
+    place.once_there("scaled.json", &mut child);
+    place.dots_an_inch(96);
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && !said.contains("panicked"), "{said}");
+
+    assert_eq!(place.json("renewed.json")["surfaces_renewed"], json!([1, 1]));
+    let out = String::from_utf8(output.stdout).unwrap();
+    let command = out.lines().next().unwrap();
+    place.again(command);
+    let (shown, drawn) = (place.picture("scaled.png"), place.picture("again.png"));
+    assert_eq!((shown.0, drawn.0), ([320, 192], [320, 192]));
+    assert_eq!(pictures(&shown.1, &drawn.1), Difference::default(), "at twice the pixels a point");
+    // Sleep lets go of keys, and the hour does not pass in the scene: the view is still the one from before.
+    place.again(&command.replace("320x192", "320x200"));
+    assert_eq!(pictures(&place.picture("renewed.png").1, &place.picture("again.png").1), Difference::default());
+    let scaled = place.json("scaled.json");
+    assert_eq!((&scaled["scale"], &scaled["window"]), (&json!(2.0), &json!([320, 192])));
+    assert_eq!(place.json("back.json")["scale"], json!(1.0));
 }
 
 #[test]

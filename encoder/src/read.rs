@@ -174,6 +174,15 @@ impl PcastFile {
         Ok(PcastFile { path: path.into(), bytes, encoding, color, mip_rule, grids, entries, checked })
     }
 
+    /// The bytes of a file in memory, of which some come only now; tiles are checked when they are read. None of a mapped
+    /// file.
+    pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
+        match &mut self.bytes {
+            Bytes::Mapped(_) => &mut [],
+            Bytes::Owned(bytes) => bytes,
+        }
+    }
+
     /// The file's name, as given.
     pub fn path(&self) -> &Path {
         &self.path
@@ -277,7 +286,12 @@ impl PcastFile {
 
     /// The whole scene, every byte of it checked.
     pub fn read_scene(&self) -> Result<Scene> {
-        let levels = (0..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
+        self.read_scene_from(0)
+    }
+
+    /// The scene that a level and all coarser ones are.
+    pub(crate) fn read_scene_from(&self, level: usize) -> Result<Scene> {
+        let levels = (level..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
         Ok(Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels })
     }
 

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gpu::shaders::{self, Variant};
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
@@ -19,7 +20,7 @@ pub struct Engine {
     /// Nanoseconds a timestamp tick; `None` where the device has no timestamps.
     pub tick_ns: Option<f32>,
     trusted: bool,
-    pipelines: HashMap<String, Rc<Pipeline>>,
+    pipelines: Pipelines,
     failure: Failure,
 }
 
@@ -30,11 +31,31 @@ pub struct Device {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub failure: Failure,
+    /// Those of all that draws on it: who goes into another scene does not compile anew.
+    pub pipelines: Pipelines,
+}
+
+/// Compiled pipelines by what they were made from.
+#[derive(Clone, Default)]
+pub struct Pipelines(Rc<RefCell<HashMap<String, Rc<Pipeline>>>>);
+
+impl std::fmt::Debug for Pipelines {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} pipelines", self.0.borrow().len())
+    }
 }
 
 /// The first error that a device reported outside any scope, or why it was lost.
 #[derive(Clone, Debug, Default)]
 pub struct Failure(Arc<Mutex<Option<String>>>);
+
+impl Device {
+    /// What happens to it is heard from now on.
+    pub fn watched(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue) -> Device {
+        let failure = Failure::watch(&device);
+        Device { info, device, queue, failure, pipelines: Pipelines::default() }
+    }
+}
 
 impl Failure {
     /// Hears what happens to a device from now on; without it wgpu ends the program at an error.
@@ -86,8 +107,7 @@ impl Engine {
         let opened = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)));
         let (device, queue) = opened
             .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
-        let failure = Failure::watch(&device);
-        Ok(Engine::with_device(Device { info, device, queue, failure }, trusted))
+        Ok(Engine::with_device(Device::watched(info, device, queue), trusted))
     }
 
     /// The adapter that the environment names, else the most powerful; one that can draw on `surface`.
@@ -124,23 +144,12 @@ impl Engine {
 
     /// On a device that is open already.
     pub fn with_device(device: Device, trusted: bool) -> Engine {
-        let Device { info, device, queue, failure } = device;
+        let Device { info, device, queue, failure, pipelines } = device;
         let (features, limits) = (device.features(), device.limits());
         let tick_ns = features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
         let software = info.device_type == wgpu::DeviceType::Cpu;
         let driver = format!("{} {}", info.driver, info.driver_info).trim().to_string();
-        Engine {
-            device,
-            queue,
-            limits,
-            name: info.name,
-            driver,
-            software,
-            tick_ns,
-            trusted,
-            pipelines: HashMap::new(),
-            failure,
-        }
+        Engine { device, queue, limits, name: info.name, driver, software, tick_ns, trusted, pipelines, failure }
     }
 
     /// An error if the device reported one since it was opened.
@@ -208,8 +217,8 @@ impl Engine {
         variant: &Variant,
         constants: &[(&'static str, f64)],
     ) -> Result<Rc<Pipeline>> {
-        let key = format!("{name} {variant:?} {constants:?}");
-        if let Some(pipeline) = self.pipelines.get(&key) {
+        let key = format!("{name} {variant:?} {constants:?} {}", self.trusted);
+        if let Some(pipeline) = self.pipelines.0.borrow().get(&key) {
             return Ok(pipeline.clone());
         }
         let source = shaders::assemble(name, variant);
@@ -232,7 +241,7 @@ impl Engine {
         })?;
         let pipeline =
             Rc::new(Pipeline { name, variant: variant.clone(), constants: constants.to_vec(), pipeline, bindings });
-        self.pipelines.insert(key, pipeline.clone());
+        self.pipelines.0.borrow_mut().insert(key, pipeline.clone());
         Ok(pipeline)
     }
 
@@ -244,7 +253,7 @@ impl Engine {
             constants: p.constants.clone(),
             source: shaders::assemble(p.name, &p.variant),
         };
-        let mut all: Vec<Shader> = self.pipelines.values().map(shader).collect();
+        let mut all: Vec<Shader> = self.pipelines.0.borrow().values().map(shader).collect();
         all.sort_by(|a, b| (a.name, &a.defines).cmp(&(b.name, &b.defines)));
         all
     }

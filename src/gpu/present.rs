@@ -19,8 +19,7 @@ use crate::resident::Resident;
 impl Device {
     /// A device that was asked for with [`Device::wishes`].
     pub fn new(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue) -> Device {
-        let failure = Failure::watch(&device);
-        Device { info, device, queue, failure }
+        Device::watched(info, device, queue)
     }
 
     /// What to ask an adapter for, so that scenes and pictures fit as with [`GpuRenderer::new`].

@@ -99,7 +99,7 @@ pub fn with_earlier(folder: &Path, rows: Vec<Row>) -> Result<Vec<Row>> {
 
 fn read_csv(bytes: &[u8]) -> Result<Vec<Row>, String> {
     let mut reader = csv::Reader::from_reader(bytes);
-    if reader.headers().is_ok_and(|head| *head != HEAD[..]) {
+    if reader.headers().is_ok_and(|head| head != HEAD[..]) {
         return Err("line 1: other columns than this program's".into());
     }
     let cases = cases();

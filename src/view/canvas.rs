@@ -6,6 +6,7 @@ use std::sync::{Arc, mpsc};
 use winit::window::Window;
 
 use super::drawer::Drawer;
+use super::script::Trouble;
 use crate::gpu::present::{ByteOrder, Device, Presenter, Shaded, Way};
 use crate::{Error, Result};
 
@@ -39,7 +40,8 @@ pub enum Shown {
 /// A surface of wgpu.
 pub struct Canvas {
     instance: wgpu::Instance,
-    surface: wgpu::Surface<'static>,
+    /// `None` where it was lost and no other could be made.
+    surface: Option<wgpu::Surface<'static>>,
     adapter: wgpu::Adapter,
     pub device: Device,
     config: wgpu::SurfaceConfiguration,
@@ -49,6 +51,10 @@ pub struct Canvas {
     /// Milliseconds that showing the picture took on the device, and how it was shown.
     pub present_ms: Option<f64>,
     pub way: Option<Way>,
+    /// Surfaces that were configured anew as they were out of date, and made anew as they were lost.
+    pub renewed: [u32; 2],
+    /// What the next frame meets in place of a surface: for tests.
+    pub trouble: Option<Trouble>,
 }
 
 fn instance() -> wgpu::Instance {
@@ -83,8 +89,26 @@ impl Canvas {
         surface.configure(&device.device, &config);
         let presenter = Presenter::new(&device, config.format, config.usage);
         let painter = egui_wgpu::Renderer::new(&device.device, config.format, egui_wgpu::RendererOptions::default());
-        let (upload, present_ms, way) = (None, None, None);
-        Ok(Canvas { instance, surface, adapter, device, config, presenter, painter, upload, present_ms, way })
+        Ok(Canvas {
+            instance,
+            surface: Some(surface),
+            adapter,
+            device,
+            config,
+            presenter,
+            painter,
+            upload: None,
+            present_ms: None,
+            way: None,
+            renewed: [0; 2],
+            trouble: None,
+        })
+    }
+
+    fn configure(&self) {
+        if let Some(surface) = &self.surface {
+            surface.configure(&self.device.device, &self.config);
+        }
     }
 
     /// The order that the pixels of a drawer's pictures should have.
@@ -108,7 +132,7 @@ impl Canvas {
             return;
         }
         (self.config.width, self.config.height) = (width.min(limit), height.min(limit));
-        self.surface.configure(&self.device.device, &self.config);
+        self.configure();
     }
 
     /// Whether frames wait for the monitor.
@@ -116,7 +140,7 @@ impl Canvas {
         let mode = if on { wgpu::PresentMode::AutoVsync } else { wgpu::PresentMode::AutoNoVsync };
         if self.config.present_mode != mode {
             self.config.present_mode = mode;
-            self.surface.configure(&self.device.device, &self.config);
+            self.configure();
         }
     }
 
@@ -168,7 +192,12 @@ impl Canvas {
         }
         let extra = self.painter.update_buffers(&gpu, &self.device.queue, &mut encoder, &painting.primitives, &screen);
         use wgpu::CurrentSurfaceTexture as Current;
-        let (texture, suboptimal) = match self.surface.get_current_texture() {
+        let current = match (self.trouble.take(), &self.surface) {
+            (Some(Trouble::Outdated), _) => Current::Outdated,
+            (None, Some(surface)) => surface.get_current_texture(),
+            (Some(Trouble::Lost), _) | (None, None) => Current::Lost,
+        };
+        let (texture, suboptimal) = match current {
             Current::Success(texture) => (texture, false),
             Current::Suboptimal(texture) => (texture, true),
             other => {
@@ -177,12 +206,16 @@ impl Canvas {
                 return match other {
                     Current::Timeout | Current::Occluded => Ok(Shown::Later),
                     Current::Lost => {
-                        self.surface = surface(&self.instance, window)?;
-                        self.surface.configure(&gpu, &self.config);
+                        self.renewed[1] += 1;
+                        // A window has one surface at a time.
+                        self.surface = None;
+                        self.surface = Some(surface(&self.instance, window)?);
+                        self.configure();
                         Ok(Shown::Again)
                     }
                     Current::Outdated => {
-                        self.surface.configure(&gpu, &self.config);
+                        self.renewed[0] += 1;
+                        self.configure();
                         Ok(Shown::Again)
                     }
                     _ => Err(Error::Device(format!("{}: the window's surface is not valid", self.device.info.name))),
@@ -229,7 +262,7 @@ impl Canvas {
             self.painter.free_texture(&id);
         }
         if suboptimal {
-            self.surface.configure(&gpu, &self.config);
+            self.configure();
         }
         Ok(Shown::Yes)
     }

@@ -215,6 +215,17 @@ impl Control {
         (self.rise, self.grounded, self.flight) = (0.0, false, None);
     }
 
+    /// The same place, pace and way in a world whose voxels are `times` as many along each axis.
+    pub fn scale(&mut self, times: f64) {
+        self.pose.eye *= times;
+        self.speed = (self.speed * times).clamp(SPEEDS.0, SPEEDS.1);
+        (self.rise, self.grounded) = (self.rise * times, false);
+        if let Some(flight) = &mut self.flight {
+            flight.from *= times;
+            flight.to *= times;
+        }
+    }
+
     /// Flies along the ray toward a place that was picked, so far away, and stops before it.
     pub fn fly_to(&mut self, direction: DVec3, distance: f64) {
         let direction = direction.normalize_or_zero();
@@ -388,6 +399,30 @@ mod tests {
 
     fn steps(c: &mut Control, n: usize, columns: &Columns) {
         (0..n).for_each(|_| c.step(1.0 / 30.0, &Ground::new(columns, Repeat::default())));
+    }
+
+    #[test]
+    fn control_scaled_flies_the_same_way_through_finer_voxels() {
+        let pose = Pose { eye: DVec3::new(3.0, 5.0, 7.0), yaw: 30.0, pitch: -10.0, roll: 0.0, fov: 60.0 };
+        let air = Columns::empty(1, 1, 1);
+        let mut coarse = Control::new(pose, [100; 3]);
+        let mut fine = coarse.clone();
+        fine.scale(4.0);
+        let ray = DVec3::new(0.6, 0.0, 0.8);
+        for (control, distance) in [(&mut coarse, 100.0), (&mut fine, 400.0)] {
+            control.key("KeyW", true);
+            control.step(0.1, &Ground::new(&air, Repeat::default()));
+            control.fly_to(ray, distance);
+            control.step(0.1, &Ground::new(&air, Repeat::default()));
+        }
+        assert!((4.0 * coarse.pose.eye - fine.pose.eye).length() < 1e-9);
+        // One that is on its way is scaled with it.
+        coarse.scale(4.0);
+        for control in [&mut coarse, &mut fine] {
+            control.step(0.2, &Ground::new(&air, Repeat::default()));
+        }
+        assert!((coarse.pose.eye - fine.pose.eye).length() < 1e-9);
+        assert!(coarse.pose.eye.x != pose.eye.x);
     }
 
     #[test]

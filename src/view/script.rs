@@ -24,6 +24,10 @@
 //! | `figures` | writes what the latest frame cost (JSON) |
 //! | `drop` | a file is dropped on the window |
 //! | `lose_device` | the GPU's device is given up, as when a driver is reset |
+//! | `surface` | the surface is `outdated`, as when the window changes under it, or `lost` |
+//! | `occluded` | `true`: nothing of the window can be seen from now on; `false`: it can again |
+//! | `sleep` | the machine sleeps for so many seconds: the window goes, and comes again |
+//! | `scale` | waits until a point is so many pixels wide, as after a change of the display's resolution |
 //! | `quit` | |
 //!
 //! `t` is in seconds that pass by a thirtieth a frame, however long a frame takes: a script flies the same way on every
@@ -54,7 +58,19 @@ pub enum Action {
     Figures(PathBuf),
     Drop(PathBuf),
     LoseDevice {},
+    Surface(Trouble),
+    Occluded(bool),
+    Sleep(f64),
+    Scale(f64),
     Quit {},
+}
+
+/// What happens to the surfaces of windows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Trouble {
+    Outdated,
+    Lost,
 }
 
 #[derive(Clone, Debug, PartialEq)]

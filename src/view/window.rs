@@ -47,8 +47,11 @@ const DOUBLE: (Duration, f64) = (Duration::from_millis(400), 6.0);
 /// Devices lost within a minute before the CPU takes over.
 const LOSSES: usize = 3;
 
-/// How long a script waits for the window to take a size.
-const RESIZE: Duration = Duration::from_secs(10);
+/// Seconds that pass in a frame at most: while the machine slept, or the window was away, nothing went on.
+const LONGEST: f64 = 0.25;
+
+/// How long a script waits for the window to take a size or a scale.
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Opens the window and stays until it is closed.
 pub fn run(settings: Settings) -> Result<()> {
@@ -77,6 +80,13 @@ struct Screen {
 enum Surface {
     Gpu(Box<Canvas>),
     Plain(Box<Plain>),
+}
+
+/// What a script waits for.
+#[derive(Clone, Copy)]
+enum Awaited {
+    Size([u32; 2]),
+    Scale(f64),
 }
 
 /// The error map of a view: on its way, then there.
@@ -111,11 +121,15 @@ struct App {
     notes: Vec<String>,
     words: Vec<(String, Instant)>,
     script: Option<Script>,
-    /// A size that the script waits for.
-    resizing: Option<([u32; 2], Instant)>,
+    /// What the script waits for, and since when.
+    awaited: Option<(Awaited, Instant)>,
+    /// Nothing of the window can be seen.
+    occluded: bool,
     grab: Option<PathBuf>,
     /// Pixels of the window; 0 × 0 while it is minimised.
     size: [u32; 2],
+    /// Pixels a point.
+    scale: f64,
     cursor: [f64; 2],
     dragging: bool,
     captured: bool,
@@ -158,7 +172,9 @@ impl App {
             notes: Vec::new(),
             words: Vec::new(),
             script,
-            resizing: None,
+            awaited: None,
+            scale: 1.0,
+            occluded: false,
             grab: None,
             size: [0; 2],
             cursor: [0.0; 2],
@@ -220,7 +236,8 @@ impl App {
     }
 
     fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
-        let [width, height] = self.settings.size;
+        // Opened once more, it is as large as it was.
+        let [width, height] = if self.size.contains(&0) { self.settings.size } else { self.size };
         let full = self.settings.full_screen.then_some(Fullscreen::Borderless(None));
         let attributes = Window::default_attributes()
             .with_title("planecast")
@@ -228,7 +245,7 @@ impl App {
             .with_fullscreen(full);
         let window = event_loop.create_window(attributes).map_err(|e| no_window(&e))?;
         let window = Arc::new(window);
-        self.size = window.inner_size().into();
+        (self.size, self.scale) = (window.inner_size().into(), window.scale_factor());
         let surface = self.surface(&window)?;
         let (egui, ctx) = gui(&window, &surface);
         self.screen = Some(Screen { window, surface, egui, ctx });
@@ -620,18 +637,18 @@ impl App {
                 if real == size {
                     self.resized(size);
                 }
-                self.resizing = Some((size, Instant::now()));
+                self.awaited = Some((Awaited::Size(size), Instant::now()));
             }
             Action::Screenshot(path) => self.screenshot(&path)?,
             Action::Grab(path) => self.grab = Some(path),
             Action::Figures(path) => {
-                let (present, way) = match self.screen.as_ref().map(|s| &s.surface) {
-                    Some(Surface::Gpu(canvas)) => (canvas.present_ms, canvas.way.map(Way::name)),
-                    _ => (None, None),
+                let (present, way, renewed) = match self.screen.as_ref().map(|s| &s.surface) {
+                    Some(Surface::Gpu(canvas)) => (canvas.present_ms, canvas.way.map(Way::name), canvas.renewed),
+                    _ => (None, None, [0; 2]),
                 };
                 let figures = serde_json::json!({
                     "stats": self.panel.stats, "present_ms": present, "present": way, "shown_fps": self.panel.fps,
-                    "words": self.lines(),
+                    "words": self.lines(), "window": self.size, "scale": self.scale, "surfaces_renewed": renewed,
                 });
                 output::write(&path, |out| output::json(out, &figures))?.finish()?;
             }
@@ -641,7 +658,42 @@ impl App {
                     device.device.destroy();
                 }
             }
+            Action::Surface(trouble) => {
+                if let Some(Screen { surface: Surface::Gpu(canvas), .. }) = &mut self.screen {
+                    canvas.trouble = Some(trouble);
+                }
+            }
+            Action::Occluded(occluded) => self.set_occluded(occluded),
+            Action::Sleep(seconds) => {
+                self.suspend();
+                // That much of the time is gone, as far as this process has been there for it.
+                let asleep = Duration::try_from_secs_f64(seconds).unwrap_or_default();
+                self.then = self.then.checked_sub(asleep).unwrap_or(self.then);
+                self.resume(event_loop)?;
+            }
+            Action::Scale(scale) => self.awaited = Some((Awaited::Scale(scale), Instant::now())),
             Action::Quit {} => event_loop.exit(),
+        }
+        Ok(())
+    }
+
+    fn set_occluded(&mut self, occluded: bool) {
+        self.occluded = occluded;
+        self.linger = LINGER;
+    }
+
+    /// The window goes, and all that is on the device with it.
+    fn suspend(&mut self) {
+        self.control.release();
+        (self.dragging, self.captured) = (false, false);
+        (self.drawer, self.drawn, self.map, self.screen) = (None, None, None, None);
+    }
+
+    /// The window comes, for the first time or again.
+    fn resume(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
+        if self.screen.is_none() {
+            self.open(event_loop)?;
+            self.make_drawer()?;
         }
         Ok(())
     }
@@ -682,9 +734,12 @@ impl App {
 
     /// Whether the next frame should be drawn at once.
     fn is_active(&self) -> bool {
-        self.script.is_some()
-            || self.linger > 0
-            || self.opening.is_some()
+        self.script.is_some() || self.opening.is_some() || !self.occluded && self.has_news()
+    }
+
+    /// Whether there is anything new to be seen.
+    fn has_news(&self) -> bool {
+        self.linger > 0
             || self.control.is_moving()
             || !matches!(self.recorder, Recorder::Idle)
             || self.map.as_ref().is_some_and(|m| m.done.is_none())
@@ -720,7 +775,7 @@ impl App {
     /// One frame: time passes, the scene is drawn where it must be, and shown.
     fn frame(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
         let now = Instant::now();
-        let mut dt = (now - self.then).as_secs_f64();
+        let mut dt = (now - self.then).as_secs_f64().min(LONGEST);
         self.then = now;
         self.words.retain(|(_, until)| *until > now);
         self.linger = self.linger.saturating_sub(1);
@@ -743,7 +798,8 @@ impl App {
             (true, _) => self.pace = Some(Pace::new(self.panel.target_fps)),
             (false, _) => self.pace = None,
         }
-        if self.size.contains(&0) {
+        if self.size.contains(&0) || self.occluded {
+            self.repaint_at = None;
             std::thread::sleep(Duration::from_millis(10));
             return Ok(());
         }
@@ -751,26 +807,38 @@ impl App {
         self.show(event_loop)
     }
 
+    /// Whether what the script waits for has come; an error if it took too long.
+    fn check_awaited(&mut self) -> Result<()> {
+        let Some((awaited, since)) = self.awaited else { return Ok(()) };
+        let here = match awaited {
+            Awaited::Size(size) => self.size == size,
+            Awaited::Scale(scale) => self.scale == scale,
+        };
+        if here {
+            self.awaited = None;
+        } else if since.elapsed() > PATIENCE {
+            let ([w, h], scale) = (self.size, self.scale);
+            return Err(Error::Limit(match awaited {
+                Awaited::Size([x, y]) => format!("the window is {w} × {h} and did not become {x} × {y}"),
+                Awaited::Scale(other) => format!("a point is {scale} pixels wide and did not become {other}"),
+            }));
+        }
+        Ok(())
+    }
+
     /// Does what is due, unless something is waited for.
     fn run_script(&mut self, event_loop: &ActiveEventLoop, dt: &mut f64) -> Result<()> {
-        let Some(mut script) = self.script.take() else { return Ok(()) };
-        if let Some((size, since)) = self.resizing {
-            if self.size == size {
-                self.resizing = None;
-            } else if since.elapsed() > RESIZE {
-                let [w, h] = self.size;
-                return Err(Error::Limit(format!(
-                    "the window is {w} × {h} and did not become {} × {}",
-                    size[0], size[1]
-                )));
-            }
+        if self.script.is_none() {
+            return Ok(());
         }
+        self.check_awaited()?;
+        let Some(mut script) = self.script.take() else { return Ok(()) };
         // A grab is of the frame that is drawn next.
         let waits =
-            self.opening.is_some() || self.resizing.is_some() || self.map.as_ref().is_some_and(|m| m.done.is_none());
+            self.opening.is_some() || self.awaited.is_some() || self.map.as_ref().is_some_and(|m| m.done.is_none());
         *dt = if waits { 0.0 } else { script::STEP };
         let mut done = Ok(());
-        while !waits && done.is_ok() && self.resizing.is_none() && self.grab.is_none() && self.opening.is_none() {
+        while !waits && done.is_ok() && self.awaited.is_none() && self.grab.is_none() && self.opening.is_none() {
             let Some(action) = script.due() else {
                 script.frame();
                 break;
@@ -964,11 +1032,13 @@ fn quoted(path: &Path) -> String {
 
 impl ApplicationHandler for App {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
-        if self.screen.is_none()
-            && let Err(e) = self.open(event_loop)
-        {
+        if let Err(e) = self.resume(event_loop) {
             self.fail(event_loop, e);
         }
+    }
+
+    fn suspended(&mut self, _: &ActiveEventLoop) {
+        self.suspend();
     }
 
     fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
@@ -991,7 +1061,8 @@ impl ApplicationHandler for App {
         match event {
             WindowEvent::CloseRequested => event_loop.exit(),
             WindowEvent::Resized(size) => self.resized(size.into()),
-            WindowEvent::ScaleFactorChanged { .. } => {
+            WindowEvent::ScaleFactorChanged { scale_factor, .. } => {
+                self.scale = scale_factor;
                 let size = self.screen.as_ref().map_or(self.size, |s| s.window.inner_size().into());
                 self.resized(size);
             }
@@ -1037,7 +1108,9 @@ impl ApplicationHandler for App {
                 self.say(format!("{:.1} voxels a second", self.control.speed));
             }
             WindowEvent::DroppedFile(path) => self.dropped(&path),
-            WindowEvent::Occluded(false) => self.linger = LINGER,
+            WindowEvent::Occluded(occluded) => self.set_occluded(occluded),
+            // Who is typed into can be seen, whatever was said before.
+            WindowEvent::Focused(true) => self.set_occluded(false),
             WindowEvent::RedrawRequested => {
                 let done = self.frame(event_loop);
                 self.settle_frame(event_loop, done);

@@ -1,4 +1,5 @@
-// Events, files and words of the page; scene, camera and kernels are in planecast_web.wasm.
+// Events, files and words of the page; scene, camera and kernels are in planecast_web.wasm, and once more in worker.js, where
+// files are read.
 //
 // Address: ?scene=URL opens that file in place of the demo; ?device=cpu draws without WebGPU; ?size=WxH fixes the picture.
 import init, { Page } from "./planecast_web.js";
@@ -13,6 +14,15 @@ let adapter = "";
 let broken = false;
 let firstPicture = null;
 let scene = null;
+// The program, compiled: for the page and for its workers.
+let program = null;
+// Counts what is opened: what was begun before gives way.
+let opened = 0;
+// The picture of the present scene has been seen.
+let seen = false;
+// Bytes of the file that are here, and of it; and what was here at the first picture.
+let fetched = null;
+let fetchedAtFirst = null;
 
 const say = (text) => { element("words").textContent = text; };
 
@@ -70,24 +80,82 @@ function fit() {
   }
 }
 
-async function load(name, bytes) {
+/** Whoever reads files, in a worker. What it cannot do, or gives up, is an error here. */
+class Reads {
+  constructor() {
+    this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
+    this.waiting = new Map();
+    this.n = 0;
+    this.worker.onmessage = ({ data: { id, value, error, gaveUp } }) => {
+      const { done, failed } = this.waiting.get(id);
+      this.waiting.delete(id);
+      if (error === undefined) done(value);
+      else failed(new Error(gaveUp ? `the reader gave up (${error}); what was shown before is still here` : error));
+    };
+    this.worker.onerror = (event) => {
+      for (const { failed } of this.waiting.values()) failed(new Error(`the reader ended (${event.message})`));
+      this.waiting.clear();
+    };
+    this.ask("start", program);
+  }
+
+  ask(what, ...given) {
+    const id = this.n++;
+    const moved = given.filter((g) => g instanceof Uint8Array).map((g) => g.buffer);
+    return new Promise((done, failed) => {
+      this.waiting.set(id, { done, failed });
+      this.worker.postMessage([id, what, ...given], moved);
+    });
+  }
+
+  /** Ends it, with its memory. */
+  end() { this.worker.terminate(); }
+}
+
+/** Opens a file by what `steps` does with whoever reads, and says what that has to say in the end; false where it failed,
+ * which is said. */
+async function opening(name, steps) {
   if (broken) return false;
+  const turn = ++opened;
+  const reads = new Reads();
+  const show = (bytes, level, goesOn) => {
+    if (turn !== opened) throw new Error("another file was opened");
+    scene = { name, ...JSON.parse(page.load(name, bytes, level, goesOn)) };
+    seen = false;
+  };
   try {
-    say(`reading ${name}`);
-    // So that the words are on the screen before the work begins.
-    await new Promise((done) => setTimeout(done));
-    scene = JSON.parse(page.load(name, bytes));
-    scene.name = name;
-    say("");
+    const words = await steps(reads, show);
+    if (turn === opened) say(words ?? "");
     return true;
   } catch (error) {
-    wrong(name, error);
+    if (turn === opened) wrong(name, error);
     return false;
+  } finally {
+    reads.end();
   }
 }
 
-async function fetchBytes(url) {
-  const answer = await fetch(url);
+/** Opens a file that is here. */
+function load(name, bytes, what = "read") {
+  fetched = null;
+  return opening(name, async (reads, show) => {
+    say(`reading ${name}`);
+    show(await reads.ask(what, name, bytes), 0, false);
+  });
+}
+
+/** Waits until what is shown now has been seen, if anybody looks; no longer than a slow device takes for its first picture. */
+async function untilSeen() {
+  const begin = performance.now();
+  while (!seen && !document.hidden && !broken && performance.now() - begin < 3000) {
+    await new Promise((done) => setTimeout(done, 10));
+  }
+}
+
+const megabytes = (n) => (n / 1e6).toFixed(1);
+
+/** The bytes of an answer; says how far it is. */
+async function bytesOf(answer, url) {
   if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
   const total = Number(answer.headers.get("content-length")) || 0;
   const reader = answer.body.getReader();
@@ -98,7 +166,7 @@ async function fetchBytes(url) {
     if (done) break;
     parts.push(value);
     n += value.length;
-    say(`${url}: ${(n / 1e6).toFixed(1)}${total >= n ? ` of ${(total / 1e6).toFixed(1)}` : ""} MB`);
+    if (url) say(`${url}: ${megabytes(n)}${total >= n ? ` of ${megabytes(total)}` : ""} MB`);
   }
   const bytes = new Uint8Array(n);
   let at = 0;
@@ -106,7 +174,84 @@ async function fetchBytes(url) {
   return bytes;
 }
 
+async function fetchRange(url, from, to) {
+  const answer = await fetch(url, { headers: { Range: `bytes=${from}-${to - 1}` } });
+  if (answer.status !== 206) throw new Error(`the server answers ${answer.status} where it sent a part before`);
+  return [from, await bytesOf(answer)];
+}
+
+/** Bytes that a server says a file has, in its answer to a range. */
+const lengthIn = (answer) => Number(answer.headers.get("content-range")?.match(/\/(\d+)$/)?.[1]) || undefined;
+
+/** Opens a file by its address: scene files in ranges of bytes, coarse levels first, where the server gives such. */
+async function loadFrom(url) {
+  const name = nameOf(url);
+  return opening(name, async (reads, show) => {
+    say(`${url}: asking for it`);
+    const first = await fetch(url, { headers: { Range: `bytes=0-${await reads.ask("head") - 1}` } });
+    let head = await bytesOf(first, url);
+    const isScene = [0x89, 0x50, 0x43, 0x56].every((byte, i) => head[i] === byte);
+    if (first.status !== 206 || !isScene) {
+      if (first.status === 206 && !(lengthIn(first) <= head.length)) head = await bytesOf(await fetch(url), url);
+      const why = isScene ? "the server gives no parts of files, so all of it was fetched first" : "";
+      fetched = { bytes: head.length, of: head.length, ranges: false };
+      show(await reads.ask("read", name, head), 0, false);
+      return why && `${url}: ${why}`;
+    }
+    await reads.ask("open", name, head, lengthIn(first));
+    let state = await reads.ask("state");
+    let shown = null;
+    const ask = ({ wanted }) => {
+      const ranges = [];
+      for (let i = 0; i < wanted.length; i += 2) ranges.push(fetchRange(url, wanted[i], wanted[i + 1]));
+      const all = Promise.all(ranges);
+      // It is waited for below, after other work.
+      all.catch(() => {});
+      return all;
+    };
+    for (;;) {
+      const coming = ask(state);
+      fetched = { bytes: state.progress[0], of: state.progress[1], ranges: true };
+      if (state.level !== undefined && state.level !== shown) {
+        const bytes = await reads.ask("scene");
+        // So that what there is can be seen before more of it is.
+        if (shown !== null) await untilSeen();
+        show(bytes, state.level, shown !== null);
+        shown = state.level;
+      }
+      if (state.wanted.length === 0) break;
+      say(`${url}: ${megabytes(state.progress[0])} of ${megabytes(state.progress[1])} MB, `
+        + (shown === null ? "coarse first" : `at 1 : ${2 ** shown} so far`));
+      for (const [at, bytes] of await coming) await reads.ask("put", at, bytes);
+      state = await reads.ask("state");
+    }
+  });
+}
+
 const nameOf = (url) => decodeURIComponent(new URL(url, location.href).pathname.split("/").pop() || "scene");
+
+/** Keys that a gamepad holds. */
+const padKeys = new Set();
+
+/** A gamepad of the standard layout: the left stick, shoulders and triggers are keys, the right stick looks. */
+function gamepad(seconds) {
+  const pad = [...(navigator.getGamepads?.() ?? [])].find((p) => p?.mapping === "standard");
+  if (!pad && padKeys.size === 0) return;
+  const [x = 0, y = 0, lookX = 0, lookY = 0] = pad?.axes ?? [];
+  const pressed = (i) => (pad?.buttons[i]?.value ?? 0) > 0.3;
+  const keys = {
+    KeyA: x < -0.3, KeyD: x > 0.3, KeyW: y < -0.3, KeyS: y > 0.3, KeyQ: pressed(4), KeyE: pressed(5),
+    ControlLeft: pressed(6), Space: pressed(7), ShiftLeft: pressed(10),
+  };
+  for (const [code, down] of Object.entries(keys)) {
+    if (down === padKeys.has(code)) continue;
+    page.key(code, down);
+    if (down) padKeys.add(code); else padKeys.delete(code);
+  }
+  // Fine near the middle, 900 pixels of a mouse a second at the rim.
+  const bent = (v) => (Math.abs(v) < 0.1 ? 0 : v * Math.abs(v) * 900 * seconds);
+  if (bent(lookX) || bent(lookY)) page.look(bent(lookX), bent(lookY));
+}
 
 let then = performance.now();
 let shown = [];
@@ -117,6 +262,7 @@ function tick(now) {
   then = now;
   try {
     fit();
+    gamepad(Math.max(0, Math.min(0.25, seconds)));
     if (page.frame(Math.max(0, seconds))) {
       shown.push(now);
       if (!gpu) paint();
@@ -126,9 +272,13 @@ function tick(now) {
     return;
   }
   // Figures come when the picture is done, not when it is asked for.
-  if (scene && firstPicture === null) {
+  if (scene && !seen) {
     const f = JSON.parse(page.figures());
-    if (f.gpu_ms ?? f.cpu_ms) firstPicture = performance.now() - began;
+    seen = Boolean(f.gpu_ms ?? f.cpu_ms);
+    if (seen && firstPicture === null) {
+      firstPicture = performance.now() - began;
+      fetchedAtFirst = { ...fetched, level: scene.level };
+    }
   }
   while (now - shown[0] > 1000) shown.shift();
   if (scene && element("panel").open) figures();
@@ -148,7 +298,7 @@ function figures() {
   const ms = f.gpu_ms ?? f.cpu_ms;
   const stages = ms ? ["setup", "traverse", "remap", "shade", "total"].map((s) => `${s} ${ms[s].toFixed(2)}`).join(", ") : "";
   element("figures").textContent = [
-    `${scene.name}: ${scene.dims.join(" × ")} voxels, ${scene.levels} levels, ${(scene.bytes / 1e6).toFixed(1)} MB`,
+    `${scene.name}: ${scene.dims.join(" × ")} voxels${scene.level ? ` at 1 : ${2 ** scene.level} so far` : ""}, ${scene.levels} levels, ${(scene.bytes / 1e6).toFixed(1)} MB`,
     `${gpu ? adapter : "cpu"}, ${canvas.width} × ${canvas.height}, ${shown.length} frames/s`,
     `ms: ${stages}`,
     `${f.planes} planes, ${f.columns_visited} columns, ${f.runs_visited} runs`,
@@ -201,10 +351,12 @@ function events() {
 /** For tests: the GPU's picture, the CPU's of the same view, and what the page says. */
 globalThis.planecast = {
   state: () => ({
-    gpu, scene, broken, firstPicture, words: element("words").textContent, adapter: gpu ? adapter : null,
+    gpu, scene, broken, firstPicture, fetched, fetchedAtFirst, words: element("words").textContent, adapter: gpu ? adapter : null,
     pose: page ? JSON.parse(page.pose()) : null, figures: page ? JSON.parse(page.figures()) : null,
   }),
   load,
+  loadFrom,
+  giveUp: () => load("giving-up", new Uint8Array(1), "giveUp"),
   picture: async () => {
     if (!gpu) return page.pixels();
     if (!page.read_picture()) return null;
@@ -221,12 +373,12 @@ events();
 requestAnimationFrame(tick);
 try {
   say("loading");
-  await init();
+  const answer = await fetch(new URL("planecast_web_bg.wasm", import.meta.url));
+  program = await WebAssembly.compile(await answer.arrayBuffer());
+  await init({ module_or_path: program });
   await open();
   const words = element("words").textContent;
-  const url = asked.get("scene") ?? "demo.pcast";
-  const bytes = await fetchBytes(url);
-  if (await load(nameOf(url), bytes) && !gpu) say(words);
+  if (await loadFrom(asked.get("scene") ?? "demo.pcast") && !gpu) say(words);
 } catch (error) {
   wrong("the scene", error);
 }

@@ -1,6 +1,8 @@
 //! The page's half of planecast: what JavaScript calls. Scene, controls and kernels are those of the window.
 //!
-//! JavaScript has the events, the files and the words; this has the scene and the camera. Nothing here waits: frames are
+//! JavaScript has the events, the files and the words; this has the scene and the camera. Files are read in a worker, by an
+//! instance of its own ([`Reader`], [`read`]): what other crates' readers do there ends neither the scene nor the page.
+//! Nothing here waits: frames are
 //! sent to the GPU and shown, figures arrive later. Without WebGPU the CPU draws, one thread, and JavaScript shows the
 //! pixels.
 
@@ -10,13 +12,14 @@ use std::sync::mpsc::{Receiver, channel};
 
 use glam::DVec3;
 use planecast::frame::Stats;
-use planecast::gpu::present::{Device, Presenter};
+use planecast::gpu::present::{ByteOrder, Device, Presenter};
 use planecast::path::Pose;
 use planecast::tour::{self, View};
 use planecast::view::control::{Control, Ground, Mode};
 use planecast::view::drawer::{Drawer, Drawn, Draws};
 use planecast::view::world::World;
 use planecast::{CpuRenderer, Kernel, Options, Outputs, exact};
+use planecast_encoder::{ArrivingFile, Scene, arriving, write};
 use serde_json::json;
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
@@ -52,6 +55,8 @@ pub struct Page {
     shows: Option<Shows>,
     drawer: Option<Drawer>,
     control: Control,
+    /// The level of the file that is level 0 of the scene: finer ones are on their way.
+    level: u32,
     options: Options,
     size: [u32; 2],
     drawn: Option<(Pose, [u32; 2], Options)>,
@@ -64,6 +69,7 @@ pub struct Page {
 
 struct Reading {
     buffer: wgpu::Buffer,
+    order: ByteOrder,
     mapped: Receiver<Result<(), wgpu::BufferAsyncError>>,
 }
 
@@ -80,9 +86,10 @@ async fn shows(canvas: HtmlCanvasElement, [width, height]: [u32; 2]) -> Result<S
     let mut config = surface.get_default_config(&adapter, width, height).ok_or("the canvas cannot be drawn on")?;
     let formats = surface.get_capabilities(&adapter).formats;
     config.format = formats.into_iter().find(|f| !f.is_srgb()).unwrap_or(config.format);
+    config.usage |= surface.get_capabilities(&adapter).usages & wgpu::TextureUsages::COPY_DST;
     surface.configure(&device, &config);
     let device = Device::new(adapter.get_info(), device, queue);
-    let presenter = Presenter::new(&device, config.format);
+    let presenter = Presenter::new(&device, config.format, config.usage);
     Ok(Shows { surface, config, device, presenter })
 }
 
@@ -97,6 +104,7 @@ impl Page {
             shows,
             drawer: None,
             control: Control::new(pose, [1; 3]),
+            level: 0,
             options: Options::default(),
             size,
             drawn: None,
@@ -106,23 +114,36 @@ impl Page {
         })
     }
 
-    /// Goes into a scene, from the bytes of a scene file or of an input. What it is, as JSON.
-    pub fn load(&mut self, name: &str, bytes: Vec<u8>) -> Result<String, JsValue> {
+    /// Goes into a scene, from the bytes of a scene file as [`Reader::scene`] or [`read`] give it. `level`: of the file that
+    /// it comes from, the one that is its finest. `goes_on`: it is the scene that is there, with finer levels; the camera stays
+    /// where it is. What it is, as JSON.
+    pub fn load(&mut self, name: &str, bytes: Vec<u8>, level: u32, goes_on: bool) -> Result<String, JsValue> {
         let world = Arc::new(World::from_bytes(Path::new(name), bytes).map_err(failed)?);
         let (draws, device) = match &self.shows {
             Some(shows) => (Draws::Gpu(KERNEL), Some(&shows.device)),
             None => (Draws::Cpu, None),
         };
-        let drawer = Drawer::new(world.clone(), draws, device).map_err(failed)?;
-        let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
-        self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
+        // First the old one's memory.
+        self.drawer = None;
+        let mut drawer = Drawer::new(world.clone(), draws, device).map_err(failed)?;
+        if let Some(shows) = &self.shows {
+            drawer.set_order(shows.presenter.order());
+        }
+        if goes_on {
+            self.control.scale(f64::from(self.level).exp2() / f64::from(level).exp2());
+        } else {
+            let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
+            self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
+        }
+        self.level = level;
         self.drawer = Some(drawer);
         self.drawn = None;
+        self.stats = Stats::default();
         let facts = json!({
             "dims": world.resident.dims,
             "levels": world.resident.levels.len(),
             "bytes": world.resident.bytes(),
-            "hash": world.content_hash,
+            "level": level,
         });
         Ok(facts.to_string())
     }
@@ -235,9 +256,8 @@ impl Page {
             _ => return Ok(()),
         };
         let gpu = &shows.device.device;
-        let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let mut encoder = gpu.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        drawer.with_picture(|p| shows.presenter.show(&mut encoder, &view, p, self.size, self.size));
+        drawer.with_picture(|p| shows.presenter.show(&mut encoder, &texture.texture, p, self.size));
         shows.device.queue.submit([encoder.finish()]);
         shows.device.queue.present(texture);
         shows.device.check().map_err(failed)
@@ -261,8 +281,10 @@ impl Page {
     /// Where the camera is, as JSON.
     pub fn pose(&self) -> String {
         let Pose { eye, yaw, pitch, roll, fov } = self.control.pose;
-        json!({"eye": eye.to_array(), "yaw": yaw, "pitch": pitch, "roll": roll, "fov": fov,
-               "speed": self.control.speed, "mode": self.control.mode().name()})
+        // In voxels of the file's level 0, whatever is there of it.
+        let voxel = f64::from(self.level).exp2();
+        json!({"eye": (eye * voxel).to_array(), "yaw": yaw, "pitch": pitch, "roll": roll, "fov": fov,
+               "speed": self.control.speed * voxel, "mode": self.control.mode().name()})
         .to_string()
     }
 
@@ -278,15 +300,18 @@ impl Page {
             mapped_at_creation: false,
         });
         let mut encoder = gpu.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let copied = drawer.with_picture(|p| encoder.copy_buffer_to_buffer(p, 0, &buffer, 0, size));
+        let order = drawer.with_picture(|p| {
+            encoder.copy_buffer_to_buffer(p.buffer, 0, &buffer, 0, size);
+            p.order
+        });
         shows.device.queue.submit([encoder.finish()]);
         let (send, mapped) = channel();
         buffer.map_async(wgpu::MapMode::Read, .., move |result| {
             // The page may have gone on.
             let _ = send.send(result);
         });
-        self.reading = Some(Reading { buffer, mapped });
-        copied.is_some()
+        self.reading = order.map(|order| Reading { buffer, order, mapped });
+        order.is_some()
     }
 
     /// The GPU's picture as read back, RGBA; nothing while it is on its way.
@@ -295,7 +320,10 @@ impl Page {
         shows.device.check().map_err(failed)?;
         let Ok(mapped) = reading.mapped.try_recv() else { return Ok(None) };
         mapped.map_err(failed)?;
-        let bytes = reading.buffer.get_mapped_range(..).map_err(failed)?.to_vec();
+        let mut bytes = reading.buffer.get_mapped_range(..).map_err(failed)?.to_vec();
+        for pixel in bytes.as_chunks_mut().0 {
+            *pixel = reading.order.swap(*pixel);
+        }
         self.reading = None;
         Ok(Some(bytes))
     }
@@ -308,5 +336,72 @@ impl Page {
         let camera = self.control.pose.camera(self.size);
         let frame = cpu.render(&camera, &self.options, Outputs::default()).map_err(failed)?;
         Ok(frame.color.concat())
+    }
+}
+
+/// A scene as a file without compression: what a page reads by this project's own reader alone.
+fn plain(name: &str, scene: &Scene) -> Result<Vec<u8>, JsValue> {
+    let mut out = std::io::Cursor::new(Vec::new());
+    write::write_scene_to(scene, &mut out, Path::new(name)).map_err(failed)?;
+    Ok(out.into_inner())
+}
+
+/// The scene that a scene file or an input has, for [`Page::load`].
+#[wasm_bindgen]
+pub fn read(name: &str, bytes: Vec<u8>) -> Result<Vec<u8>, JsValue> {
+    plain(name, &World::from_bytes(Path::new(name), bytes).map_err(failed)?.scene)
+}
+
+/// For tests: what happens when a reader gives up.
+#[wasm_bindgen]
+pub fn give_up() {
+    panic!("asked to");
+}
+
+/// A scene file that is fetched in parts, coarse to fine.
+#[wasm_bindgen]
+pub struct Reader {
+    name: String,
+    file: ArrivingFile,
+}
+
+#[wasm_bindgen]
+impl Reader {
+    /// Bytes to fetch before anything of a file is known.
+    pub fn head() -> f64 {
+        arriving::HEAD as f64
+    }
+
+    /// From the first bytes of a file; `len` is how many it has, where the server says so.
+    #[wasm_bindgen(constructor)]
+    pub fn new(name: &str, head: Vec<u8>, len: Option<f64>) -> Result<Reader, JsValue> {
+        let file = ArrivingFile::new(Path::new(name), head, len.map(|len| len as u64)).map_err(failed)?;
+        Ok(Reader { name: name.into(), file })
+    }
+
+    /// Ranges of bytes to fetch next, begin and end in turn; none when all is there.
+    pub fn wanted(&self) -> Vec<f64> {
+        self.file.wanted().iter().flat_map(|r| [r.start as f64, r.end as f64]).collect()
+    }
+
+    /// Takes one of those ranges.
+    pub fn put(&mut self, at: f64, bytes: &[u8]) -> Result<(), JsValue> {
+        self.file.put(at as u64, bytes).map_err(failed)
+    }
+
+    /// Bytes that are there, and of the file.
+    pub fn progress(&self) -> Vec<f64> {
+        self.file.progress().map(|n| n as f64).into()
+    }
+
+    /// The finest level that is there.
+    pub fn level(&self) -> Option<u32> {
+        self.file.level().map(|level| level as u32)
+    }
+
+    /// The scene from that level on, for [`Page::load`].
+    pub fn scene(&self) -> Result<Option<Vec<u8>>, JsValue> {
+        let scene = self.file.read_scene().map_err(failed)?;
+        scene.map(|scene| plain(&self.name, &scene)).transpose()
     }
 }
