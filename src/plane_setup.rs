@@ -383,7 +383,6 @@ impl Fan {
         }
     }
 
-    /// The plane of the fan whose stripe holds place `at` of the far edge.
     /// The sample at whose place pixel `p` along the planes has its centre, counted as pixels are.
     #[inline]
     pub fn sample_at(&self, p: u32) -> u32 {
@@ -393,6 +392,7 @@ impl Fan {
         ((2 * u64::from(p) + 1) * u64::from(self.n_samples) / (2 * u64::from(self.pixels))) as u32
     }
 
+    /// The plane of the fan whose stripe holds place `at` of the far edge.
     #[inline]
     pub fn plane_at(&self, at: f64) -> u32 {
         let k = match self.readjusted {

@@ -151,7 +151,7 @@ fn files_cut_short_while_they_are_read_are_plain_errors() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     let n = 288usize;
-    let volume: Vec<u8> = (0..n * n * n).map(|i| u8::from((i / 3 % 7 + i / n % 5) % 3 == 0)).collect();
+    let volume: Vec<u8> = (0..n * n * n).map(|i| u8::from((i / 3 % 7 + i / n % 5).is_multiple_of(3))).collect();
     fs::write(path("whole.raw"), &volume).unwrap();
     succeeds(dir.path(), &format!("encode whole.raw --dims {n},{n},{n} -o whole.pcast"));
     let mut cut = Vec::new();

@@ -258,6 +258,7 @@ impl Panel {
         });
         ui.collapsing("more switches", |ui| {
             ui.checkbox(&mut o.readjust, "readjusted spacing of planes");
+            ui.add(egui::Slider::new(&mut o.samples, 0.25..=4.0).text("samples a pixel"));
             let mut retest = o.remap == crate::Remap::Retest;
             ui.checkbox(&mut retest, "remap retests");
             o.remap = if retest { crate::Remap::Retest } else { crate::Remap::Nearest };
@@ -290,7 +291,7 @@ impl Panel {
             let on_cpu = !matches!(subject.draws, Draws::Gpu(_));
             ui.add_enabled_ui(on_cpu, |ui| {
                 ui.checkbox(&mut o.f64_traversal, "walk in f64 (cpu)");
-                ui.add(egui::Slider::new(&mut o.ssao_samples, 1..=64).text("occlusion samples (cpu)"));
+                ui.add(egui::Slider::new(&mut o.ssao_samples, 1..=64).text("occlusion samples"));
             });
         });
     }
