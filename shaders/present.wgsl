@@ -1,17 +1,5 @@
 // The finished picture onto a surface, as a triangle that covers it. Not a stage: nothing of a picture is made here.
-
-struct Present {
-    // Pixels of the picture and of the surface.
-    size: vec2<u32>,
-    surface: vec2<u32>,
-    // The picture has b in the low byte, not r.
-    bgra: u32,
-    _pad0: u32,
-}
-
-@group(0) @binding(0) var<uniform> present: Present;
-// As stage shade leaves it, in sRGB.
-@group(0) @binding(1) var<storage, read> picture: array<u32>;
+// After shared/picture.wgsl.
 
 // The surface encodes what it is given as sRGB.
 override ENCODES: bool = false;
@@ -23,9 +11,7 @@ fn corner(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
 
 fn at(x: i32, y: i32) -> vec3<f32> {
     let last = vec2<i32>(present.size) - 1;
-    let p = vec2<u32>(clamp(vec2(x, y), vec2(0), last));
-    let color = unpack4x8unorm(picture[p.y * present.size.x + p.x]);
-    return select(color.rgb, color.bgr, present.bgra != 0u);
+    return color_at(vec2<u32>(clamp(vec2(x, y), vec2(0), last)));
 }
 
 @fragment

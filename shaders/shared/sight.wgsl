@@ -112,29 +112,17 @@ struct Shown {
     y: i32,
 }
 
-// Where a run's front begins and where its top does, by samples, the column beginning at t0; below is its bottom.
-fn cuts(h0: f32, h1: f32, t0: f32) -> vec2<i32> {
-    var at = vec2(-I32_MAX, I32_MAX);
-    if (h0 > 0.0) {
-        at.x = sample_at(t0, h0);
-    }
-    if (h1 < 0.0) {
-        at.y = sample_at(t0, h1);
-    }
-    return at;
-}
-
 // Sample j of a run between heights h0 and h1 whose column begins at t0: bottom, front or top, as `Walk::draw` cuts it.
-fn show(j: i32, l: u32, run: u32, h0: f32, h1: f32, t0: f32, at: vec2<i32>) -> Shown {
+fn show(j: i32, l: u32, run: u32, h0: f32, h1: f32, t0: f32) -> Shown {
     // The direction through the sample's centre, kept off zero: no depth overflows.
     let ray_t = max(sight_t(sight_t(plane.b, 0.5), f32(j)), TINY);
     let ray_h = (0.5 * plane.c - plane.a) + f32(j) * plane.c;
     let first = run_first(run);
     let last = run_end(run) - 1;
-    if (j < at.x) {
+    if (h0 > 0.0 && j < sample_at(t0, h0)) {
         return Shown(h0 * (plane.delta / max(abs(ray_h), TINY)), first);
     }
-    if (j >= at.y) {
+    if (h1 < 0.0 && j >= sample_at(t0, h1)) {
         return Shown(-h1 * (plane.delta / max(abs(ray_h), TINY)), last);
     }
     let above = clamp((ray_h / ray_t) * t0 - h0, 0.0, f32(((last - first + 1) << l) - 1));
@@ -161,10 +149,7 @@ fn write_sky(j: i32) {
 }
 
 fn write_sample(j: i32, l: u32, cell: vec2<i32>, column: u32, k: u32, run: u32, h0: f32, h1: f32, t0: f32) {
-    write_shown(j, l, cell, column, k, show(j, l, run, h0, h1, t0, cuts(h0, h1, t0)));
-}
-
-fn write_shown(j: i32, l: u32, cell: vec2<i32>, column: u32, k: u32, shown: Shown) {
+    let shown = show(j, l, run, h0, h1, t0);
     let i = plane.base + u32(j);
 //!if !LATE_COLOR
     plane_color[i] = paint_color(l, column, k, u32(shown.y));

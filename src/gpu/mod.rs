@@ -77,8 +77,9 @@ pub struct GpuOptions {
     /// Whether `workgroup` proves to the compiler that its lanes meet at barriers, which browsers ask for: two more barriers
     /// a decision.
     pub proved_uniform: bool,
-    /// Whether frames' [`Stats`] say how many columns, runs and spans were visited; 0 where not. Counting takes 1 to 2 %.
-    /// Software devices always count: that is how they tell of walks that they cut short.
+    /// Whether frames' [`Stats`] say how many columns, runs and spans were visited; 0 where not. Counting takes `workgroup`
+    /// 1 to 2 % and `invocation` as long as all else. Software devices always count: that is how they tell of walks that
+    /// they cut short.
     pub count: bool,
     /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
     /// for the kernel's own.
@@ -294,7 +295,7 @@ impl<'a> GpuRenderer<'a> {
         self.engine.software
     }
 
-    /// The shaders that frames so far needed.
+    /// The shaders that frames on this device needed so far.
     pub fn shaders(&self) -> Vec<Shader> {
         self.engine.shaders()
     }

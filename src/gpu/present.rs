@@ -205,7 +205,7 @@ impl<'a> GpuRenderer<'a> {
     }
 }
 
-/// What `present.wgsl` is told.
+/// What the shaders below are told.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct Present {
@@ -215,10 +215,12 @@ struct Present {
     _pad0: u32,
 }
 
-const SHADER: &str = include_str!("../../shaders/present.wgsl");
-const WRITE_SHADER: &str = include_str!("../../shaders/present_write.wgsl");
+const DRAW_SHADER: &str =
+    concat!(include_str!("../../shaders/shared/picture.wgsl"), include_str!("../../shaders/present.wgsl"));
+const WRITE_SHADER: &str =
+    concat!(include_str!("../../shaders/shared/picture.wgsl"), include_str!("../../shaders/present_write.wgsl"));
 
-/// Puts pictures onto a surface: writes or copies those that have its size, as it lets them be, and draws the others, enlarged
+/// Puts pictures onto a surface: copies or writes those that have its size, as it lets them be, and draws the others, enlarged
 /// or reduced where sizes differ.
 pub struct Presenter {
     device: Device,
@@ -234,16 +236,16 @@ pub struct Presenter {
 /// How a picture came onto a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    Written,
     Copied,
+    Written,
     Drawn,
 }
 
 impl Way {
     pub fn name(self) -> &'static str {
         match self {
-            Way::Written => "written",
             Way::Copied => "copied",
+            Way::Written => "written",
             Way::Drawn => "drawn",
         }
     }
@@ -290,7 +292,7 @@ impl Presenter {
         let gpu = &device.device;
         let module = gpu.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("present"),
-            source: wgpu::ShaderSource::Wgsl(SHADER.into()),
+            source: wgpu::ShaderSource::Wgsl(DRAW_SHADER.into()),
         });
         let encodes = [("ENCODES", f64::from(u8::from(format.is_srgb())))];
         let pipeline = gpu.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -363,8 +365,8 @@ impl Presenter {
 
     /// Records what shows `picture`, `size` pixels, on the whole of a surface's texture; sends nothing.
     ///
-    /// Where the size is the texture's, the picture is written into it or, where the order is, too, and rows begin where
-    /// copies may begin, copied: a fraction of what a pass over all pixels takes.
+    /// Where size and order are the texture's, and rows begin where copies may begin, the picture is copied: a fraction of
+    /// what a pass over all pixels takes. Otherwise, where the size is the texture's, it is written into it.
     pub fn show(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
@@ -376,9 +378,8 @@ impl Presenter {
         let same = size == [texture.width(), texture.height()];
         let copies = self.copied == Some(picture.order) && row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let way = match &self.write {
-            // A processor that plays GPU copies faster.
-            Some(_) if same && !(copies && self.device.is_software()) => Way::Written,
             _ if same && copies => Way::Copied,
+            Some(_) if same => Way::Written,
             _ => Way::Drawn,
         };
         let mut clock = self.clock.as_mut().filter(|c| c.mapped.is_none());
@@ -407,11 +408,31 @@ impl Presenter {
         way
     }
 
-    fn tell(&self, texture: &wgpu::Texture, picture: Shaded<'_>, size: [u32; 2]) {
+    /// What both shaders bind, told what they are to show.
+    fn group(
+        &self,
+        layout: wgpu::BindGroupLayout,
+        texture: &wgpu::Texture,
+        picture: Shaded<'_>,
+        size: [u32; 2],
+        into: Option<&wgpu::TextureView>,
+    ) -> wgpu::BindGroup {
         let surface = [texture.width(), texture.height()];
         let bgra = u32::from(picture.order == ByteOrder::Bgra);
         let present = Present { size, surface, bgra, _pad0: 0 };
         self.device.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&present));
+        let mut entries = vec![
+            wgpu::BindGroupEntry { binding: 0, resource: self.params.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 1, resource: picture.buffer.as_entire_binding() },
+        ];
+        entries.extend(
+            into.map(|view| wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(view) }),
+        );
+        self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("present"),
+            layout: &layout,
+            entries: &entries,
+        })
     }
 
     fn write(
@@ -423,17 +444,8 @@ impl Presenter {
         clock: Option<&Clock>,
     ) {
         let Some(pipeline) = &self.write else { return };
-        self.tell(texture, picture, size);
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("present_write"),
-            layout: &pipeline.get_bind_group_layout(0),
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: self.params.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: picture.buffer.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&view) },
-            ],
-        });
+        let group = self.group(pipeline.get_bind_group_layout(0), texture, picture, size, Some(&view));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("present_write"),
             timestamp_writes: clock.map(|c| wgpu::ComputePassTimestampWrites {
@@ -455,15 +467,7 @@ impl Presenter {
         size: [u32; 2],
         clock: Option<&Clock>,
     ) {
-        self.tell(texture, picture, size);
-        let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("present"),
-            layout: &self.pipeline.get_bind_group_layout(0),
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: self.params.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: picture.buffer.as_entire_binding() },
-            ],
-        });
+        let group = self.group(self.pipeline.get_bind_group_layout(0), texture, picture, size, None);
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("present"),
@@ -529,7 +533,7 @@ mod tests {
     #[test]
     fn present_shader_is_valid() {
         use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
-        let module = wgpu::naga::front::wgsl::parse_str(SHADER).unwrap();
+        let module = wgpu::naga::front::wgsl::parse_str(DRAW_SHADER).unwrap();
         Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).unwrap();
     }
 
