@@ -285,23 +285,36 @@ pub fn count(bytes: &[u8], form: Form) -> [usize; 2] {
     if bytes.is_empty() {
         return [0; 2];
     }
-    let (runs, total) = match form {
-        Form::Narrow => (bytes.len() / 2, wrap(u32::from(bytes[bytes.len() - 1]), 256)),
+    let runs = count_runs(bytes, form);
+    let total = match form {
+        Form::Narrow => wrap(u32::from(bytes[bytes.len() - 1]), 256),
         Form::Wide => {
             let lists = WIDE_FIXED + BUCKET * get_u16(bytes, 0).unwrap_or(0) as usize;
-            (bytes.len().saturating_sub(lists) / 2, wrap(get_u16(bytes, lists - 2).unwrap_or(0), 65_536))
+            wrap(get_u16(bytes, lists - 2).unwrap_or(0), 65_536)
         }
-        Form::Flat => {
-            (bytes.len() / FLAT_RUN, wrap(get_u16(bytes, bytes.len().saturating_sub(2)).unwrap_or(0), 65_536))
-        }
+        Form::Flat => wrap(get_u16(bytes, bytes.len().saturating_sub(2)).unwrap_or(0), 65_536),
         Form::Packed(bits) => {
-            let n = packed_runs(bytes, bits);
             let mut ends = boundaries(bytes, bits);
             let mut len = || ends.next().map_or(0, |start| ends.next().unwrap_or(0).saturating_sub(start));
-            (n, (0..n).map(|_| len()).sum())
+            (0..runs).map(|_| len()).sum()
         }
     };
     [runs, total as usize]
+}
+
+/// The first of [`count`].
+#[inline]
+pub fn count_runs(bytes: &[u8], form: Form) -> usize {
+    match form {
+        _ if bytes.is_empty() => 0,
+        Form::Narrow => bytes.len() / 2,
+        Form::Wide => {
+            let lists = WIDE_FIXED + BUCKET * get_u16(bytes, 0).unwrap_or(0) as usize;
+            bytes.len().saturating_sub(lists) / 2
+        }
+        Form::Flat => bytes.len() / FLAT_RUN,
+        Form::Packed(bits) => packed_runs(bytes, bits),
+    }
 }
 
 /// The run that holds voxel `y`: its number in the column and the voxel's own colour position.
