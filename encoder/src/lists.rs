@@ -368,15 +368,7 @@ impl Lists<'_> {
             return (len == 0).then_some(Held::NOTHING);
         }
         let bytes = &self.bytes[self.at + start..];
-        // Behind the blob are zeros.
-        let bits = |at: usize| {
-            let bytes = &bytes[at / 8..];
-            let word = bytes
-                .first_chunk()
-                .copied()
-                .unwrap_or_else(|| std::array::from_fn(|i| bytes.get(i).copied().unwrap_or(0)));
-            u64::from_le_bytes(word) >> (at % 8)
-        };
+        let bits = |at: usize| column_rle::bits_from(bytes, at);
         let is_set =
             |i: usize| self.fill.is_some_and(|fill| fill[(start / 2 + i) / 8] >> ((start / 2 + i) % 8) & 1 == 1);
         let total = match bits(slot * runs) & mask {

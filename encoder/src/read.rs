@@ -852,6 +852,38 @@ impl<'a> Blob<'a> {
         }
     }
 
+    /// The starts that a table gives, and the end; of grouped colour tables those of groups. A start past 32 bits, which no
+    /// section reaches, is the highest there is.
+    fn starts(&self, table: Section) -> Vec<u32> {
+        let n = self.n_columns();
+        let bytes = self.section(table);
+        let len = self.len_of(table.columns()) as u32;
+        let u32s = |bytes: &[u8]| bytes.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b)).collect::<Vec<_>>();
+        let mut starts = Vec::with_capacity(n + 1);
+        match self.forms.table(table) {
+            Table::Short => {
+                let (bases, offsets) = bytes.split_at(4 * self.depth);
+                let rows = offsets.as_chunks::<2>().0.chunks(self.width);
+                for (base, row) in u32s(bases).into_iter().zip(rows) {
+                    starts.extend(row.iter().map(|&offset| base.saturating_add(u16::from_le_bytes(offset).into())));
+                }
+            }
+            Table::Long => starts.extend(u32s(bytes)),
+            Table::Even => starts.extend((0..n as u32).map(|ix| len / n as u32 * ix)),
+            Table::Grouped if table == Section::ColorTable => starts.extend(u32s(bytes)),
+            Table::Grouped => {
+                let unit = self.forms.unit() as u32;
+                let shift = self.forms.group_shift;
+                let (bases, offsets) = bytes.split_at(4 * n.div_ceil(1 << shift));
+                for (base, group) in u32s(bases).into_iter().zip(offsets.chunks(1 << shift)) {
+                    starts.extend(group.iter().map(|&offset| base.saturating_add(unit * u32::from(offset))));
+                }
+            }
+        }
+        starts.push(len);
+        starts
+    }
+
     /// Colours of column number `ix`, by its runs; arbitrary where those are forged.
     fn n_colors(&self, ix: usize) -> usize {
         let Modes { encoding, color } = self.place.modes;
@@ -897,14 +929,19 @@ impl<'a> Blob<'a> {
         let mut runs: Vec<Run> = Vec::new();
         offsets.push(0);
         let mut end = 0;
-        for ix in 0..n_columns {
-            let (start, column) = self.column(table, lists, ix)?;
+        let bytes = self.section(lists);
+        for (ix, pair) in self.starts(table).windows(2).enumerate() {
+            let start = pair[0] as usize;
+            let len = match bytes.get(start..pair[1] as usize) {
+                Some(column) => column.len(),
+                None => self.column(table, lists, ix)?.1.len(),
+            };
             if start != end {
                 return Err(self.column_error(table, 0, ix, format!("starts at byte {start}, {end} was expected")));
             }
-            end = start + column.len();
+            end = start + len;
             let before = runs.len();
-            column_rle::decode(column, form, highest, &mut runs)
+            column_rle::decode_first(&bytes[start..], len, form, highest, &mut runs)
                 .map_err(|fault| self.column_error(lists, start + fault.at, ix, fault.what))?;
             if base > 0 {
                 let raised = |r: Run| Run::new(r.first() + base as u16, r.last() + base as u16);
@@ -926,12 +963,12 @@ impl<'a> Blob<'a> {
     /// The solid runs of a surface tile: its runs and the gaps whose fill bit is set.
     fn filled(&self, shown: &Columns) -> Result<Columns> {
         let mut solid = ColumnsBuilder::new(shown.nx(), shown.ny(), shown.nz());
-        for ix in 0..self.n_columns() {
-            let start = self.start(Section::GeometryTable, ix);
+        let starts = self.starts(Section::GeometryTable);
+        for (ix, &start) in starts[..self.n_columns()].iter().enumerate() {
             let runs = &shown.runs()[shown.range(ix)];
             for (i, run) in runs.iter().enumerate() {
                 let mut run = *run;
-                let bit = start / 2 + i;
+                let bit = start as usize / 2 + i;
                 if self.fill(bit) {
                     let Some(above) = runs.get(i + 1) else {
                         let what = "the gap above the last run is marked as solid";

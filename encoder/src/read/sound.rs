@@ -80,38 +80,6 @@ impl Blob<'_> {
         Some(Held { lowest: held.lowest + base, end: held.end + base, ..held })
     }
 
-    /// The starts that a table gives, and the end; of grouped colour tables those of groups. A start past 32 bits, which no
-    /// section reaches, is the highest there is.
-    fn starts(&self, table: Section) -> Vec<u32> {
-        let n = self.n_columns();
-        let bytes = self.section(table);
-        let len = self.len_of(table.columns()) as u32;
-        let u32s = |bytes: &[u8]| bytes.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b)).collect::<Vec<_>>();
-        let mut starts = Vec::with_capacity(n + 1);
-        match self.forms.table(table) {
-            Table::Short => {
-                let (bases, offsets) = bytes.split_at(4 * self.depth);
-                let rows = offsets.as_chunks::<2>().0.chunks(self.width);
-                for (base, row) in u32s(bases).into_iter().zip(rows) {
-                    starts.extend(row.iter().map(|&offset| base.saturating_add(u16::from_le_bytes(offset).into())));
-                }
-            }
-            Table::Long => starts.extend(u32s(bytes)),
-            Table::Even => starts.extend((0..n as u32).map(|ix| len / n as u32 * ix)),
-            Table::Grouped if table == Section::ColorTable => starts.extend(u32s(bytes)),
-            Table::Grouped => {
-                let unit = self.forms.unit() as u32;
-                let shift = self.forms.group_shift;
-                let (bases, offsets) = bytes.split_at(4 * n.div_ceil(1 << shift));
-                for (base, group) in u32s(bases).into_iter().zip(offsets.chunks(1 << shift)) {
-                    starts.extend(group.iter().map(|&offset| base.saturating_add(unit * u32::from(offset))));
-                }
-            }
-        }
-        starts.push(len);
-        starts
-    }
-
     /// Whether there are as many colours as `counts` says, and the colour table says where those of each column start.
     fn has_colors_of(&self, counts: &[u32]) -> bool {
         let group = match self.forms.table(Section::ColorTable) {
