@@ -420,3 +420,126 @@ impl Lists<'_> {
         Some(held)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A blob whose section starts behind 64 bytes, and where its columns start.
+    fn blob(columns: &[Vec<Run>], form: Form) -> (Vec<u8>, Vec<u32>) {
+        let (mut bytes, mut starts) = (vec![0xA5; 64], vec![0]);
+        for runs in columns {
+            column_rle::encode(runs, form, &mut bytes);
+            starts.push(bytes.len() as u32 - 64);
+        }
+        (bytes, starts)
+    }
+
+    /// Runs from gaps and lengths, below `ny`.
+    fn runs(steps: &[(u32, u32)], ny: u32) -> Vec<Run> {
+        let (mut runs, mut y) = (Vec::new(), 0);
+        for &(gap, len) in steps {
+            let first = y + gap;
+            y = first + len;
+            if y > ny {
+                break;
+            }
+            runs.push(Run::new(first as u16, (y - 1) as u16));
+            y += 1;
+        }
+        runs
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 4000, ..ProptestConfig::default() })]
+
+        #[test]
+        fn lists_are_right_just_where_they_are_decoded_and_hold_the_same(
+            form in prop_oneof![Just(Form::Narrow), Just(Form::Flat), (4..=17u32).prop_map(Form::Packed)],
+            steps in prop::collection::vec(prop::collection::vec((0..9u32, prop_oneof![1..9u32, 1..70_000u32]), 0..12), 0..150),
+            fill in prop::option::of(any::<u64>()),
+            keep_last in 0..9u8,
+            damage in prop::collection::vec((any::<prop::sample::Index>(), 0..8u32), 0..3),
+            lower in 0..9u32,
+            behind in 0..40usize,
+        ) {
+            let ny = match form {
+                Form::Narrow => 256,
+                Form::Packed(bits) => (1 << bits.min(16)) - u32::from(bits < 17),
+                _ => 65_536,
+            };
+            let columns: Vec<Vec<Run>> = steps.iter().map(|steps| runs(steps, ny)).collect();
+            let (mut bytes, starts) = blob(&columns, form);
+            // Few bits a boundary are only where there is no fill.
+            let fill = fill.filter(|_| !matches!(form, Form::Packed(..8))).map(|seed| {
+                let mut bits: Vec<u8> = (0..(bytes.len() - 64).div_ceil(16) + behind)
+                    .map(|i| (seed.rotate_left(i as u32 * 7) >> 3) as u8)
+                    .collect();
+                for (runs, &start) in columns.iter().zip(&starts).filter(|(runs, _)| !runs.is_empty()) {
+                    let last = start as usize / 2 + runs.len() - 1;
+                    // One in nine cases keeps a bit that is wrong where it is set.
+                    bits[last / 8] &= if keep_last == 0 { 0xFF } else { !(1 << (last % 8)) };
+                }
+                bits
+            });
+            let len = bytes.len() - 64;
+            for (at, bit) in damage.iter().filter(|_| len > 0) {
+                bytes[64 + at.index(len)] ^= 1 << bit;
+            }
+            bytes.resize(bytes.len() + behind, 0x5A);
+            // A bound that the highest run may or may not keep.
+            let highest = if lower == 0 { columns.iter().flatten().map(|r| r.end()).max().unwrap_or(1) - 1 } else { ny };
+            let lists = Lists { bytes: &bytes, at: 64, starts: &starts, form, highest, fill: fill.as_deref() };
+            let expected = lists.check_decoded();
+            prop_assert_eq!(lists.check(), expected);
+            if damage.is_empty() && lower > 0 && (fill.is_none() || keep_last > 0) {
+                prop_assert!(expected.is_some());
+                prop_assert_eq!(expected.map(|held| held.runs), Some(columns.iter().flatten().count() as u64));
+            }
+        }
+    }
+
+    #[test]
+    fn lists_of_each_kind_of_fault_are_refused() {
+        let good = [(0, 4), (7, 9), (12, 13), (20, 30)].map(|(a, b)| Run::new(a, b));
+        let check = |form, highest, fill: &[u8], edit: &dyn Fn(&mut Vec<u8>)| {
+            let (mut bytes, starts) = blob(&[good.to_vec(), good[..1].to_vec()], form);
+            bytes.resize(bytes.len() + 32, 0);
+            edit(&mut bytes);
+            let lists = Lists { bytes: &bytes, at: 64, starts: &starts, form, highest, fill: Some(fill) };
+            lists.check()
+        };
+        let fine = Held { runs: 5, voxels: 5 + 3 + 2 + 11 + 5, filled: 2 + 6, lowest: 0, end: 31 };
+        // The gaps above the first and the third run; bit 4 is the second column's.
+        let fill = [0b0101, 0, 0, 0];
+        for form in [Form::Narrow, Form::Flat, Form::Packed(8), Form::Packed(17)] {
+            // A run of more bytes than two has its bit farther on.
+            let second = match form {
+                Form::Narrow => 9 / 2,
+                Form::Flat => 18 / 2,
+                Form::Packed(bits) => (8 * bits as usize).div_ceil(8) / 2,
+                Form::Wide => unreachable!(),
+            };
+            let good = |highest, fill: &[u8]| check(form, highest, fill, &|_| {});
+            assert_eq!(good(31, &fill), Some(fine), "{form:?}");
+            assert_eq!(good(30, &fill), None, "{form:?}: too high");
+            for last in [3, second] {
+                let mut fill = fill;
+                fill[last / 8] |= 1 << (last % 8);
+                assert_eq!(good(31, &fill), None, "{form:?}: filled above bit {last}");
+            }
+        }
+        // Colour offsets: the first is 0, they ascend, the total is more; starts ascend past the end before.
+        for (at, value) in [(1, 1), (3, 0), (8, 10), (2, 5), (6, 4)] {
+            assert_eq!(check(Form::Narrow, 31, &fill, &|bytes| bytes[64 + at] = value), None, "{at} {value}");
+        }
+        // Start above the end before, end above its start.
+        for (at, value) in [(2, 5), (1, 0), (6, 14), (7, 20)] {
+            assert_eq!(check(Form::Packed(8), 31, &fill, &|bytes| bytes[64 + at] = value), None, "{at} {value}");
+        }
+        // 4 runs of 34 bits leave none, 1 run leaves 6.
+        assert_eq!(check(Form::Packed(17), 31, &fill, &|bytes| bytes[64 + 17 + 4] |= 4), None);
+    }
+}
