@@ -81,7 +81,7 @@ fn exposure(file: &PcastFile) -> Vec<Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::format::Section;
+    use crate::format::{Header, Section};
     use crate::forms::Lists;
     use crate::write::write_scene_to;
     use crate::{BuildOptions, ColorMode, Columns, build, testing};
@@ -198,5 +198,15 @@ mod tests {
                 assert!(found.len() == 1 && found[0].to_string().contains(what), "{column} {value} {found:?}");
             }
         }
+
+        // Too high, with the figures of that in the directory.
+        let mut bytes = bytes;
+        bytes[heights + 49] = 51;
+        let (n_solid, y_max) = (size_of::<Header>() + 16, size_of::<Header>() + 42);
+        bytes[n_solid..n_solid + 8].copy_from_slice(&(entry.n_solid + 2).to_le_bytes());
+        bytes[y_max..y_max + 2].copy_from_slice(&50u16.to_le_bytes());
+        testing::reseal(&mut bytes);
+        let found = verify(&PcastFile::from_bytes("a.pcast", bytes).unwrap(), Depth::Tiles).faults;
+        assert!(found.len() == 1 && found[0].to_string().contains("51 high"), "{found:?}");
     }
 }
