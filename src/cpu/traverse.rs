@@ -864,40 +864,59 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
 
     /// Writes a column of ground: its front to samples `j0 .. f1`, its top to `f1 .. j1`, as [`Walk::emit`] would.
     #[inline(always)]
-    fn emit_ground(&mut self, level: &ResidentLevel, l: u32, column: usize, height: u32, at: [R; 3], to: [usize; 3]) {
+    fn emit_ground(
+        &mut self,
+        level: &'a ResidentLevel,
+        l: u32,
+        column: usize,
+        height: u32,
+        at: [R; 3],
+        to: [usize; 3],
+    ) {
         let ([h0, h1, t0], [j0, f1, j1]) = (at, to);
         let [x, z] = self.cell;
         let top = height - 1;
         // How far above the foot each sight line meets the front, in voxels of level 0.
         let highest = R::from_i32((height << l) as i32 - 1);
         let y = |slope: R| ((slope * t0 - h0).truncate(highest) as u32) >> l;
-        if j1 - j0 <= LANES && j0 + LANES <= self.hi as usize {
-            // Short spans, as most are, without loops whose ends nobody can foretell: what is written beyond the span is not
-            // drawn yet, and will be.
+        // The column's own colours, of its topmost voxels last, of voxel 0 first.
+        let own =
+            |colors: &'a [u32]| &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
+        let color_of_top = || match &level.paint {
+            Paint::Voxel { colors, .. } => colors[level.column_colors[column + 1] as usize - 1],
+            paint => paint.color(column, 0, top),
+        };
+        if f1 - j0 <= LANES && j1 - f1 <= LANES && f1 + LANES <= self.hi as usize {
+            // As [`Walk::emit_short`] does.
             let lanes = j0..j0 + LANES;
-            let Sight { depth_t, slope, depth_h } = &*self.sight;
-            let (depth_t, slope, depth_h) = (&depth_t[lanes.clone()], &slope[lanes.clone()], &depth_h[lanes.clone()]);
-            let (n, up) = (f1 - j0, h1.abs());
-            let mut ys = [top; LANES];
-            for (i, (at, &slope)) in ys.iter_mut().zip(slope).enumerate() {
-                *at = if i < n { y(slope) } else { top };
-            }
-            let (at_front, at_top) = (scaled(t0, depth_t), scaled(up, depth_h));
-            self.depth[lanes.clone()]
-                .copy_from_slice(&std::array::from_fn::<_, LANES, _>(|i| if i < n { at_front[i] } else { at_top[i] }));
-            let color = &mut self.color[lanes.clone()];
-            if let Paint::Voxel { colors, .. } = &level.paint {
-                let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
-                let hidden = height - own.len() as u32;
-                for (c, y) in color.iter_mut().zip(ys) {
-                    *c = own[y.saturating_sub(hidden) as usize];
+            if j0 < f1 {
+                self.depth[lanes.clone()].copy_from_slice(&scaled(t0, &self.sight.depth_t[lanes.clone()]));
+                let mut ys = [0; LANES];
+                for (at, &slope) in ys.iter_mut().zip(&self.sight.slope[lanes.clone()]) {
+                    *at = y(slope);
                 }
-            } else {
-                color.fill(level.paint.color(column, 0, top));
+                let color = &mut self.color[lanes.clone()];
+                if let Paint::Voxel { colors, .. } = &level.paint {
+                    let own = own(colors);
+                    let hidden = height - own.len() as u32;
+                    for (c, y) in color.iter_mut().zip(ys) {
+                        *c = own[y.saturating_sub(hidden) as usize];
+                    }
+                } else {
+                    color.fill(color_of_top());
+                }
+                if VOXEL {
+                    for (v, y) in self.voxel[lanes].iter_mut().zip(ys) {
+                        *v = [x, y as i32, z, l as i32];
+                    }
+                }
             }
-            if VOXEL {
-                for (v, y) in self.voxel[lanes].iter_mut().zip(ys) {
-                    *v = [x, y as i32, z, l as i32];
+            let lanes = f1..f1 + LANES;
+            if f1 < j1 {
+                self.depth[lanes.clone()].copy_from_slice(&scaled(h1.abs(), &self.sight.depth_h[lanes.clone()]));
+                self.color[lanes.clone()].fill(color_of_top());
+                if VOXEL {
+                    self.voxel[lanes].fill([x, top as i32, z, l as i32]);
                 }
             }
             return;
@@ -907,15 +926,14 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         let depth = &mut self.depth[j0..j1];
         let n = f1 - j0;
         if let Paint::Voxel { colors, .. } = &level.paint {
-            // The column's own colours, of its topmost voxels last, of voxel 0 first.
-            let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
+            let own = own(colors);
             let hidden = height as usize - own.len();
             for (c, &s) in color[..n].iter_mut().zip(slope) {
                 *c = own[(y(s) as usize).saturating_sub(hidden)];
             }
-            color[n..].fill(own[own.len() - 1]);
+            color[n..].fill(color_of_top());
         } else {
-            color.fill(level.paint.color(column, 0, top));
+            color.fill(color_of_top());
         }
         for (z, &s) in depth[..n].iter_mut().zip(depth_t) {
             *z = (t0 * s).to_f32();
