@@ -160,6 +160,50 @@ pub fn rocks() -> World {
     })
 }
 
+/// A height of its own for each column.
+pub fn rough() -> World {
+    World::new("rough", MEDIUM, |x, y, z| y < 8 + hash(12, [x as i32, 0, z as i32]) % 24)
+}
+
+/// One voxel in six, without order, over a floor.
+pub fn noisy() -> World {
+    World::new("white noise", MEDIUM, |x, y, z| y == 0 || hash(13, [x as i32, y as i32, z as i32]).is_multiple_of(6))
+}
+
+/// Boxes of 2 to 25 voxels a side that stand, hang and meet over a floor.
+pub fn boxes() -> World {
+    World::new("boxes", MEDIUM, |x, y, z| {
+        let inside = |i: i32| {
+            (0..3).all(|axis| {
+                let from = (hash(9, [i, axis, 0]) % [120, 50, 120][axis as usize]) as i32;
+                let size = 2 + (hash(9, [i, axis, 1]) % 24) as i32;
+                (from..from + size).contains(&([x, y, z][axis as usize] as i32))
+            })
+        };
+        y < 3 || (0..40).any(inside)
+    })
+}
+
+/// Menger's sponge, four times divided.
+pub fn sponge() -> World {
+    World::new("sponge", [81; 3], |x, y, z| {
+        (0..4).all(|k| [x, y, z].iter().filter(|&&v| v / 3u32.pow(k) % 3 == 1).count() < 2)
+    })
+}
+
+/// A pole, a wall, a beam, a slab and 80 voxels, each by itself.
+pub fn single_things() -> World {
+    World::new("single things", MEDIUM, |x, y, z| {
+        let p = [x, y, z].map(|v| v as i32);
+        let voxel = |i: i32| p == [0, 1, 2].map(|axis| (hash(10, [i, axis, 0]) % [128, 64, 128][axis as usize]) as i32);
+        (x == 40 && z == 70 && y < 50)
+            || (x == 90 && (20..100).contains(&z) && y < 20)
+            || (y == 40 && z == 50 && (10..120).contains(&x))
+            || (y == 5 && (50..80).contains(&x) && (90..120).contains(&z))
+            || (0..80).any(voxel)
+    })
+}
+
 /// Every second voxel, so that no two share a face.
 pub fn checkerboard() -> World {
     World::new("checkerboard", [32, 16, 32], |x, y, z| (x + y + z) % 2 == 0)
