@@ -171,7 +171,7 @@ pub fn noisy() -> World {
 }
 
 /// Boxes of 2 to 25 voxels a side that stand, hang and meet over a floor.
-pub fn boxes() -> World {
+pub fn blocks() -> World {
     World::new("boxes", MEDIUM, |x, y, z| {
         let inside = |i: i32| {
             (0..3).all(|axis| {
@@ -354,6 +354,41 @@ pub fn poses(world: &World, size: [u32; 2]) -> Vec<Pose> {
     add("far", Kind::Far, middle + DVec3::new(0.3, 0.35 * far, far), [0.0, -19.0, 0.0]);
     add("far", Kind::Far, middle + DVec3::new(-0.8 * far, 0.5 * far, 0.2), [92.0, -31.0, 8.0]);
     poses
+}
+
+/// More of them, for a wide sweep: far off from each side with voxels of one and two pixels, and anywhere.
+pub fn wide_poses(world: &World, size: [u32; 2]) -> Vec<Pose> {
+    let mut list = poses(world, size);
+    let [nx, ny, nz] = world.dims().map(f64::from);
+    let middle = DVec3::new(nx, ny, nz) / 2.0;
+    let mut add = |name: &str, eye: DVec3, turn: [f64; 3]| {
+        let [yaw, pitch, roll] = turn;
+        let name = format!("{name}, yaw {yaw:.1} pitch {pitch:.1} roll {roll:.1}");
+        list.push(Pose { name, kind: Kind::Turned, camera: camera(eye, turn, size) });
+    };
+    // At depth `focal` a voxel is one pixel.
+    let focal = camera(middle, [0.0; 3], size).focal();
+    for (name, far) in [("2 px", 0.5 * focal), ("1 px", focal)] {
+        add(name, middle + DVec3::new(0.3, far, 0.2), [0.0, -90.0, 0.0]);
+        add(name, middle + DVec3::new(0.3, far, 0.2), [33.0, -90.0, 10.0]);
+        add(name, middle - DVec3::new(0.3, far, 0.2), [33.0, 90.0, 10.0]);
+        add(name, middle + DVec3::new(far, 0.1, 0.2), [270.0, 0.0, 30.0]);
+        add(name, middle + DVec3::new(0.6, 0.7, 0.4) * far, [-56.0, -44.0, 0.0]);
+        add(name, middle + DVec3::new(-0.6, 0.7, 0.4) * far, [56.0, -44.0, 45.0]);
+    }
+    let mut random = Random::new(21);
+    for _ in 0..12 {
+        let (eye, turn) = loop {
+            let place = [(-0.2, 1.2), (0.0, 1.6), (-0.2, 1.2)].map(|(from, to)| random.within(from, to));
+            let turn = [(0.0, 360.0), (-90.0, 60.0), (-180.0, 180.0)].map(|(from, to)| random.within(from, to));
+            let eye = DVec3::from_array(place) * DVec3::new(nx, ny, nz);
+            if !world.buries(eye) {
+                break (eye, turn);
+            }
+        };
+        add("anywhere", eye, turn);
+    }
+    list
 }
 
 /// All 32 combinations of culling switches.
