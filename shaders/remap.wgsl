@@ -56,37 +56,13 @@ fn is_drawn(fan: u32, k: u32, sample: i32) -> bool {
     return sample >= planes[p].first && sample < planes[p].end;
 }
 
-// Of the samples around a place, none of which the ray meets: one of the planes' own that shows the sky, else the one
-// that it misses least.
-fn missed(place: Place, inverse: vec3<f32>) -> u32 {
-    var best = buffer_index(place.fan, place.plane, place.sample);
-    var least = STEEP;
-    for (var side = 0u; side < 2u; side++) {
-        let k = select(place.plane, place.second, side == 1u);
-        // Not a neighbour's along the line: that would be a notch in a silhouette.
-        let own = buffer_index(place.fan, k, place.sample);
-        if (is_drawn(place.fan, k, i32(place.sample)) && voxel_of(own).w < 0) {
-            return own;
-        }
-        for (var sample = i32(place.sample) - 1; sample < i32(place.sample) + 2; sample++) {
-            if (!is_drawn(place.fan, k, sample)) {
-                continue;
-            }
-            let at = buffer_index(place.fan, k, u32(sample));
-            let voxel = voxel_of(at);
-            if (voxel.w < 0) {
-                continue;
-            }
-            let depth = cut(voxel, inverse);
-            // As an angle: a share of the distance.
-            let by = (depth.x - depth.y) / depth.x;
-            if (by < least) {
-                best = at;
-                least = by;
-            }
-        }
+// By how much a ray misses a voxel, as an angle: a share of the distance. The sky is always met.
+fn missed_by(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
+    if (voxel.w < 0) {
+        return -STEEP;
     }
-    return best;
+    let depth = cut(voxel, inverse);
+    return (depth.x - depth.y) / depth.x;
 }
 
 //!endif
@@ -159,7 +135,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let beside = buffer_index(place.fan, place.second, place.sample);
     let near_own = enter(voxel_of(own), inverse);
     var near_beside = near_own;
-    if (is_drawn(place.fan, place.second, i32(place.sample))) {
+    let both = is_drawn(place.fan, place.second, i32(place.sample));
+    if (both) {
         near_beside = enter(voxel_of(beside), inverse);
     }
     var best = own;
@@ -188,7 +165,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (near != MISS) {
         put(i, best, voxel_of(best), bitcast<u32>(near));
     } else {
-        best = missed(place, inverse);
+        // The sky if one of the two planes shows it, else the voxel that it misses less.
+        if (both && missed_by(voxel_of(beside), inverse) < missed_by(voxel_of(own), inverse)) {
+            best = beside;
+        }
         put(i, best, voxel_of(best), plane_depth[best]);
     }
 //!endif

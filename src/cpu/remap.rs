@@ -315,7 +315,7 @@ impl Boxes {
 /// Like [`remap`], but each pixel tests voxels against its own ray: those of its sample in the two planes beside it and,
 /// unless it meets both at one depth, those of the samples next to them. It takes the nearest that it meets: what it truly
 /// shows is no farther, since each voxel of the buffer is there. Where it meets none, it takes the sky if one of the two
-/// planes shows it, else the voxel that it misses least. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`];
+/// planes shows it, else that one's voxel which it misses less. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`];
 /// the voxel of each pixel goes to `voxel` unless that is empty, in the same form. Where planes have no colours they are
 /// looked up here, for the samples that are taken.
 pub fn remap_retest(
@@ -508,8 +508,7 @@ fn retest_rows(task: RetestTask<'_>) {
             let i = usize::from(i);
             if near[i] == MISS {
                 let inverse = [0, 1, 2].map(|axis| again.inverse[axis][j]);
-                let place = [block.planes[0][i], block.planes[1][i], block.sample[i]];
-                own[i] = missed(fan, shown, drawn, &boxes, place, inverse);
+                own[i] = missed(shown, &boxes, [own[i], beside[i]], inverse);
                 near[i] = depths[own[i] as usize];
             }
         }
@@ -546,40 +545,19 @@ fn all_sky(shown: &[[i32; 4]], at: u32) -> bool {
     around.is_some_and(|samples| samples.iter().all(|voxel| voxel[3] < 0))
 }
 
-/// Of the samples around `sample` of `plane` and of the plane `second` on the pixel's other side, none of which the ray meets:
-/// one of the planes' own that shows the sky, else the one that it misses least. `shown` and `drawn` are the fan's part of
-/// the buffer and of the planes.
+/// Of the two planes' own samples, whose voxels the ray misses, as it does those next to them: the one that shows the sky, else
+/// the one that it misses less. (Not one of those next to them: its depth and, of a silhouette, its sky are not the pixel's.)
 #[cold]
-fn missed(
-    fan: &Fan,
-    shown: &[[i32; 4]],
-    drawn: &[[u32; 2]],
-    boxes: &Boxes,
-    [plane, second, sample]: [u32; 3],
-    inverse: [f32; 3],
-) -> u32 {
-    let mut best = (plane * fan.n_samples + sample, f32::INFINITY);
-    for k in [plane, second] {
-        let [first, end] = drawn[k as usize];
-        if (first..end).contains(&sample) && shown[(k * fan.n_samples + sample) as usize] == SKY {
-            // Not that of a neighbour along the line: with the plane's own distance that can be two pixels away, and
-            // would be a notch in a silhouette.
-            return k * fan.n_samples + sample;
-        }
-        for sample in sample.saturating_sub(1).max(first)..(sample + 2).min(end) {
-            let i = k * fan.n_samples + sample;
-            if shown[i as usize] == SKY {
-                continue;
-            }
-            let [near, far] = boxes.cut(shown[i as usize], inverse);
+fn missed(shown: &[[i32; 4]], boxes: &Boxes, [own, beside]: [u32; 2], inverse: [f32; 3]) -> u32 {
+    let [by, by_beside] = [own, beside].map(|at| match shown[at as usize] {
+        SKY => f32::NEG_INFINITY,
+        voxel => {
+            let [near, far] = boxes.cut(voxel, inverse);
             // As an angle: a share of the distance.
-            let by = (near - far) / near;
-            if by < best.1 {
-                best = (i, by);
-            }
+            (near - far) / near
         }
-    }
-    best.0
+    });
+    if by_beside < by { beside } else { own }
 }
 
 /// Which sample of the plane buffer each pixel takes; with fewer planes than reach every pixel, [`HOLE`] where none passes
