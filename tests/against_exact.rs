@@ -88,23 +88,33 @@ fn voxel_width(camera: &Camera, exact: &Frame) -> f64 {
     depth.get(depth.len() / 2).map_or(f64::INFINITY, |&d| camera.focal() / f64::from(d))
 }
 
-/// Hundreds of poses in worlds smooth and without any order, the worst first.
+/// Hundreds of poses in worlds smooth and without any order, the worst first: within their bounds or, where much that is
+/// seen is smaller than a pixel, about as near as `exact` itself is with its rays half a pixel aside.
 #[test]
 #[ignore = "takes a minute: cargo test --release --test against_exact -- --ignored --nocapture"]
 fn planes_show_the_voxels_of_exact_in_a_wide_sweep() {
     let worlds = [hills(MEDIUM), rough(), noisy(), caves(), blocks(), sponge(), single_things(), rocks()];
-    let mut rows = Vec::new();
+    let (mut rows, mut faults) = (Vec::new(), Vec::new());
     let mut below = 0;
     for world in &worlds {
         for Pose { name, kind, camera } in wide_poses(world, SIZE) {
             let (frame, exact) = (world.render(&camera, &plain()), world.exact(&camera, &plain()));
             let (agreement, back) = (compare(&frame, &exact), compare(&exact, &frame));
             let width = voxel_width(&camera, &exact);
-            let kind = if kind != Kind::Level && width < 2.0 { Kind::Far } else { kind };
+            let kind = match kind {
+                Kind::Level => Kind::Level,
+                _ if width < 2.0 => Kind::Far,
+                _ => Kind::Turned,
+            };
             let [same, near] = bounds(kind);
-            let falls = agreement.same_percent() < same || agreement.near_percent() < near;
+            let holds = |same, near| agreement.same_percent() >= same && agreement.near_percent() >= near;
+            let falls = !holds(same, near);
             below += usize::from(falls);
+            // Half a pixel aside, as far as samples lie from pixels.
             let aside = [0.01, 0.35].map(|by| compare(&moved(world, &camera, by), &exact));
+            if falls && !holds(aside[1].same_percent(), aside[1].near_percent() - 0.5) {
+                faults.push(format!("{} {name}: {agreement}", world.name));
+            }
             let row = format!(
                 "{:14} {name:44} {width:6.2} px {kind:?} {agreement}  back {:7.3} %  {}  exact moved: {:.3} {:.3} {:.3}",
                 world.name,
@@ -120,6 +130,8 @@ fn planes_show_the_voxels_of_exact_in_a_wide_sweep() {
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     rows.iter().for_each(|(_, row)| println!("{row}"));
     println!("{} poses, {below} below their bounds", rows.len());
+    assert!(faults.is_empty(), "{} poses:\n{}", faults.len(), faults.join("\n"));
+    assert!(below <= 21, "{below} poses below their bounds");
 }
 
 /// Figures of the other ways to remap: what retest and planes twice as close gain.

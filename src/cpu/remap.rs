@@ -313,11 +313,11 @@ impl Boxes {
 }
 
 /// Like [`remap`], but each pixel tests voxels against its own ray: those of its sample in the two planes beside it and,
-/// unless it meets both at one depth, those of the samples next to them. It takes the nearest that it meets: what it truly
-/// shows is no farther, since each voxel of the buffer is there. Where it meets none, it takes the sky if one of the two
-/// planes shows it, else that one's voxel which it misses less. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`];
-/// the voxel of each pixel goes to `voxel` unless that is empty, in the same form. Where planes have no colours they are
-/// looked up here, for the samples that are taken.
+/// unless it meets both, those of the samples next to them. It takes the nearest that it meets: what it truly shows is no
+/// farther, since each voxel of the buffer is there. Where it meets none, it takes the sky if one of the two planes shows
+/// it, else the voxel of theirs that it misses less. Depth is where the pixel's own ray enters the voxel. (Not in the
+/// papers.) Needs [`PlaneBuffer::voxel`]; the voxel of each pixel goes to `voxel` unless that is empty, in the same form.
+/// Where planes have no colours they are looked up here, for the samples that are taken.
 pub fn remap_retest(
     resident: &Resident,
     setup: &Setup,
