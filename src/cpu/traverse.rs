@@ -16,8 +16,8 @@
 //! for feet that rounding puts lower, and for a second gap (behind empty columns), and goes on in the general way there, so
 //! that pictures are the same to the bit. Counters are not: what is not looked at is not counted.
 //!
-//! **Cull.** See [`Culling`]. All tests that reject are half a sample looser than the test that draws, so that no
-//! combination of switches changes a picture.
+//! **Cull.** See [`Culling`]. All tests that reject are a sixteenth of a sample looser than the test that draws, far more
+//! than rounding takes, so that no combination of switches changes a picture.
 
 use crate::options::Culling;
 use crate::plane_setup::{Plane, Setup};
