@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use bytemuck::pod_read_unaligned;
 use planecast_encoder::format::{Header, TileEntry};
 use planecast_encoder::source::{Dtype, Format, ReadOptions, Up, open, read};
+use planecast_encoder::verify::{Depth, verify};
 use planecast_encoder::write::write_scene_to;
 use planecast_encoder::{Colors, Input, PcastFile, Scene};
 use xxhash_rust::xxh3::xxh3_64;
@@ -33,7 +34,9 @@ pub fn import(format: Format, bytes: &[u8]) {
         bytes = rest;
     }
     let_guards_work();
-    let input = if matches!(format, Format::Las | Format::Stack) {
+    let input = if format == Format::Obj && flags & 8 != 0 {
+        open(&obj_in_parts(bytes), &options)
+    } else if matches!(format, Format::Las | Format::Stack) {
         // These are read from their files, part by part.
         let path = passing("file");
         std::fs::write(&path, bytes).expect("a folder for passing files");
@@ -44,6 +47,17 @@ pub fn import(format: Format, bytes: &[u8]) {
     if let Ok(input) = input {
         check(&input);
     }
+}
+
+/// A mesh with materials and a picture: the parts of `bytes` between bytes 0, the picture what is left after two.
+fn obj_in_parts(bytes: &[u8]) -> PathBuf {
+    let (folder, put) = (passing("obj"), "a folder for passing files");
+    std::fs::create_dir_all(&folder).expect(put);
+    let mut parts = bytes.splitn(3, |&b| b == 0);
+    for name in ["a.obj", "a.mtl", "a.png"] {
+        std::fs::write(folder.join(name), parts.next().unwrap_or_default()).expect(put);
+    }
+    folder.join("a.obj")
 }
 
 /// A place of this process's own in the folder of passing files.
@@ -124,6 +138,15 @@ pub fn scene(bytes: &[u8]) {
     let Ok(file) = PcastFile::from_bytes("fuzzed.pcast", bytes) else { return };
     for (x, y, z) in [(0, 0, 0), (1, 8, 1), (1, 259, 1), (255, 65_535, 256), (-1, 0, 0)] {
         let _ = file.query(x, y, z);
+    }
+    // What is found sound several columns at once must be what is read one by one.
+    if verify(&file, Depth::Tiles).faults.is_empty() {
+        for (k, grid) in file.grids().iter().enumerate() {
+            let [across, along] = grid.tiles;
+            for (tx, tz) in (0..along).flat_map(|tz| (0..across).map(move |tx| (tx, tz))) {
+                file.tile(k, tx, tz).expect("a tile that was found right");
+            }
+        }
     }
     if let Ok(scene) = file.read_scene() {
         let again = PcastFile::from_bytes("again.pcast", written(&scene)).and_then(|f| f.read_scene());

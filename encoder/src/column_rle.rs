@@ -83,28 +83,23 @@ fn packed_runs(bytes: &[u8], bits: u32) -> usize {
     8 * bytes.len() / (2 * bits as usize)
 }
 
-/// The starts and ends of a packed column's runs, in turn; without end, zero past the bytes.
-fn boundaries(bytes: &[u8], bits: u32) -> impl Iterator<Item = u32> {
-    let (mut rest, mut held, mut n_held) = (bytes.iter(), 0u64, 0);
-    std::iter::repeat_with(move || {
-        while n_held < bits {
-            held |= u64::from(rest.next().copied().unwrap_or(0)) << n_held;
-            n_held += 8;
-        }
-        let boundary = held & ((1 << bits) - 1);
-        (held, n_held) = (held >> bits, n_held - bits);
-        boundary as u32
-    })
+/// The bits from number `at` on, 57 of them at least; zero past the bytes.
+#[inline]
+pub(crate) fn bits_from(bytes: &[u8], at: usize) -> u64 {
+    let bytes = bytes.get(at / 8..).unwrap_or_default();
+    let word = bytes.first_chunk().copied().unwrap_or_else(|| {
+        let mut word = [0; 8];
+        word[..bytes.len()].copy_from_slice(bytes);
+        word
+    });
+    u64::from_le_bytes(word) >> (at % 8)
 }
 
-/// Boundary number `i` of a packed column; zero past the bytes.
-fn boundary(bytes: &[u8], bits: u32, i: usize) -> u32 {
-    let at = i * bits as usize;
-    let mut word = [0; 4];
-    let part = bytes.get(at / 8..).unwrap_or_default();
-    let n = part.len().min(4);
-    word[..n].copy_from_slice(&part[..n]);
-    u32::from_le_bytes(word) >> (at % 8) & ((1 << bits) - 1)
+/// Start and end of run number `i` of a packed column; zero past the bytes.
+#[inline]
+fn packed_run(bytes: &[u8], bits: u32, i: usize) -> [u32; 2] {
+    let run = bits_from(bytes, 2 * i * bits as usize);
+    [run, run >> bits].map(|boundary| boundary as u32 & ((1 << bits) - 1))
 }
 
 /// What is wrong with a column's bytes.
@@ -188,6 +183,12 @@ pub fn encode(runs: &[Run], form: Form, out: &mut Vec<u8>) {
 
 /// Appends the runs of one column `ny` high, after checking every byte of it.
 pub fn decode(bytes: &[u8], form: Form, ny: u32, out: &mut Vec<Run>) -> Result<(), Fault> {
+    decode_first(bytes, bytes.len(), form, ny, out)
+}
+
+/// The same of the column in the first `len` bytes: faster where more follow.
+pub(crate) fn decode_first(rest: &[u8], len: usize, form: Form, ny: u32, out: &mut Vec<Run>) -> Result<(), Fault> {
+    let bytes = &rest[..len];
     if bytes.is_empty() {
         return Ok(());
     }
@@ -266,10 +267,9 @@ pub fn decode(bytes: &[u8], form: Form, ny: u32, out: &mut Vec<Run>) -> Result<(
             if used > 0 && bytes[bytes.len() - 1] >> used != 0 {
                 return fault(bytes.len() - 1, "bits behind the last run, zero was expected".into());
             }
-            let mut ends = boundaries(bytes, bits);
             for i in 0..n {
                 let at = 2 * i * bits as usize / 8;
-                let (start, end) = (ends.next().unwrap_or(0), ends.next().unwrap_or(0));
+                let [start, end] = packed_run(rest, bits, i);
                 if end <= start {
                     return fault(at, format!("run from {start} to {end}; a run ends above its start"));
                 }
@@ -285,23 +285,35 @@ pub fn count(bytes: &[u8], form: Form) -> [usize; 2] {
     if bytes.is_empty() {
         return [0; 2];
     }
-    let (runs, total) = match form {
-        Form::Narrow => (bytes.len() / 2, wrap(u32::from(bytes[bytes.len() - 1]), 256)),
+    let runs = count_runs(bytes, form);
+    let total = match form {
+        Form::Narrow => wrap(u32::from(bytes[bytes.len() - 1]), 256),
         Form::Wide => {
             let lists = WIDE_FIXED + BUCKET * get_u16(bytes, 0).unwrap_or(0) as usize;
-            (bytes.len().saturating_sub(lists) / 2, wrap(get_u16(bytes, lists - 2).unwrap_or(0), 65_536))
+            wrap(get_u16(bytes, lists - 2).unwrap_or(0), 65_536)
         }
-        Form::Flat => {
-            (bytes.len() / FLAT_RUN, wrap(get_u16(bytes, bytes.len().saturating_sub(2)).unwrap_or(0), 65_536))
-        }
+        Form::Flat => wrap(get_u16(bytes, bytes.len().saturating_sub(2)).unwrap_or(0), 65_536),
         Form::Packed(bits) => {
-            let n = packed_runs(bytes, bits);
-            let mut ends = boundaries(bytes, bits);
-            let mut len = || ends.next().map_or(0, |start| ends.next().unwrap_or(0).saturating_sub(start));
-            (n, (0..n).map(|_| len()).sum())
+            let len = |[start, end]: [u32; 2]| end.saturating_sub(start);
+            (0..runs).map(|i| len(packed_run(bytes, bits, i))).sum()
         }
     };
     [runs, total as usize]
+}
+
+/// The first of [`count`].
+#[inline]
+pub fn count_runs(bytes: &[u8], form: Form) -> usize {
+    match form {
+        _ if bytes.is_empty() => 0,
+        Form::Narrow => bytes.len() / 2,
+        Form::Wide => {
+            let lists = WIDE_FIXED + BUCKET * get_u16(bytes, 0).unwrap_or(0) as usize;
+            bytes.len().saturating_sub(lists) / 2
+        }
+        Form::Flat => bytes.len() / FLAT_RUN,
+        Form::Packed(bits) => packed_runs(bytes, bits),
+    }
 }
 
 /// The run that holds voxel `y`: its number in the column and the voxel's own colour position.
@@ -365,8 +377,8 @@ pub fn at_or_below(bytes: &[u8], form: Form, y: u32) -> Option<Place> {
         }
         Form::Packed(bits) => {
             let n = packed_runs(bytes, bits);
-            let run = after(n, |i| boundary(bytes, bits, 2 * i) <= y).checked_sub(1)?;
-            let (start, end) = (boundary(bytes, bits, 2 * run), boundary(bytes, bits, 2 * run + 1));
+            let run = after(n, |i| packed_run(bytes, bits, i)[0] <= y).checked_sub(1)?;
+            let [start, end] = packed_run(bytes, bits, run);
             Some(Place { run, start, len: end.saturating_sub(start), color: 0 })
         }
     }

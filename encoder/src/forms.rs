@@ -337,6 +337,15 @@ pub(crate) fn edge(width: usize, depth: usize, ix: usize) -> Option<usize> {
     }
 }
 
+/// The numbers of the columns at the edges, in their order.
+pub(crate) fn edges(width: usize, depth: usize) -> impl Iterator<Item = usize> {
+    (0..depth).flat_map(move |z| {
+        let inside = z > 0 && z + 1 < depth;
+        let step = if inside { width.saturating_sub(1).max(1) } else { 1 };
+        (z * width..(z + 1) * width).step_by(step)
+    })
+}
+
 /// The bytes of [`Heights`] in a tile.
 pub(crate) struct HeightBytes {
     pub bytes: usize,
@@ -370,7 +379,7 @@ impl HeightBytes {
         let above = heights.iter().flat_map(|h| ((h - base) as u16).to_le_bytes().into_iter().take(bytes)).collect();
         let mut edges = Vec::new();
         if let Some(exposed) = exposed {
-            for ix in (0..n).filter(|&ix| edge(width as usize, depth as usize, ix).is_some()) {
+            for ix in self::edges(width as usize, depth as usize) {
                 let low = match (heights[ix], &exposed.runs()[exposed.range(ix)]) {
                     (0 | 1, _) => 0,
                     (_, [_]) => 1,
@@ -439,6 +448,9 @@ mod tests {
         for (width, depth) in [(1, 1), (1, 5), (5, 1), (2, 2), (2, 7), (3, 3), (9, 4)] {
             let numbers: Vec<usize> = (0..width * depth).filter_map(|ix| edge(width, depth, ix)).collect();
             assert_eq!(numbers, (0..n_edges(width, depth)).collect::<Vec<_>>(), "{width} x {depth}");
+            let found: Vec<usize> = edges(width, depth).collect();
+            let expected: Vec<usize> = (0..width * depth).filter(|&ix| edge(width, depth, ix).is_some()).collect();
+            assert_eq!(found, expected, "{width} x {depth}");
         }
     }
 

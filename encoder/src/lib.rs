@@ -33,6 +33,7 @@ pub mod forms;
 pub mod guard;
 pub mod info;
 pub mod input;
+mod lists;
 pub mod memory;
 pub mod mips;
 #[cfg(not(target_arch = "wasm32"))]

@@ -18,9 +18,11 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
-use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, n_edges};
+use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, edges, n_edges};
 use crate::guard::Map;
 use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
+
+mod sound;
 
 /// What [`PcastFile::query`] finds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -275,13 +277,7 @@ impl PcastFile {
     pub(crate) fn check_tile(&self, level: usize, tx: u32, tz: u32) -> Result<()> {
         let Some(blob) = self.blob(level, tx, tz)? else { return Ok(()) };
         let entry = &self.entries[self.tile_ix(level, tx, tz)];
-        match blob.heights() {
-            // Nothing but heights: to make columns of them would take longer than to look at them.
-            Some(heights) if !blob.place.modes.shows() && self.color == ColorMode::None => {
-                blob.check_heights(&heights, entry)
-            }
-            _ => blob.check_figures(&blob.level()?, entry),
-        }
+        if blob.is_sound(entry) { Ok(()) } else { blob.check_figures(&blob.level()?, entry) }
     }
 
     /// The whole scene, every byte of it checked.
@@ -671,7 +667,7 @@ impl<'a> Blob<'a> {
             }
         }
         if let (Some(heights), true) = (self.heights(), place.modes.shows()) {
-            for ix in 0..self.n_columns() {
+            for ix in edges(self.width, self.depth) {
                 let (h, low) = (heights.height(ix), heights.low(ix));
                 if (h < 2 && low != 0) || (h >= 2 && !(1..h).contains(&low)) {
                     let what = format!("lowest exposed voxel {low} of a height of {h}");
@@ -789,18 +785,6 @@ impl<'a> Blob<'a> {
         }
     }
 
-    /// All that a tile of heights holds that has no exposed voxels and no colours.
-    fn check_heights(&self, heights: &Heights, entry: &TileEntry) -> Result<()> {
-        self.check_highest(heights)?;
-        let (mut n_solid, mut n_runs, mut top) = (0, 0, 0);
-        for h in (0..self.n_columns()).map(|ix| heights.height(ix)) {
-            (n_solid, n_runs, top) = (n_solid + u64::from(h), n_runs + u32::from(h > 0), top.max(h));
-        }
-        let y_min = if n_runs > 0 { 0 } else { u16::MAX };
-        let found = TileEntry { n_solid, n_runs, y_min, y_max: top.saturating_sub(1) as u16, ..*entry };
-        self.check_found(&found, entry)
-    }
-
     pub(crate) fn section(&self, section: Section) -> &[u8] {
         let [offset, len] = self.header.sections[section as usize].map(|n| n as usize);
         &self.bytes[offset..offset + len]
@@ -868,6 +852,38 @@ impl<'a> Blob<'a> {
         }
     }
 
+    /// The starts that a table gives, and the end; of grouped colour tables those of groups. A start past 32 bits, which no
+    /// section reaches, is the highest there is.
+    fn starts(&self, table: Section) -> Vec<u32> {
+        let n = self.n_columns();
+        let bytes = self.section(table);
+        let len = self.len_of(table.columns()) as u32;
+        let u32s = |bytes: &[u8]| bytes.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b)).collect::<Vec<_>>();
+        let mut starts = Vec::with_capacity(n + 1);
+        match self.forms.table(table) {
+            Table::Short => {
+                let (bases, offsets) = bytes.split_at(4 * self.depth);
+                let rows = offsets.as_chunks::<2>().0.chunks(self.width);
+                for (base, row) in u32s(bases).into_iter().zip(rows) {
+                    starts.extend(row.iter().map(|&offset| base.saturating_add(u16::from_le_bytes(offset).into())));
+                }
+            }
+            Table::Long => starts.extend(u32s(bytes)),
+            Table::Even => starts.extend((0..n as u32).map(|ix| len / n as u32 * ix)),
+            Table::Grouped if table == Section::ColorTable => starts.extend(u32s(bytes)),
+            Table::Grouped => {
+                let unit = self.forms.unit() as u32;
+                let shift = self.forms.group_shift;
+                let (bases, offsets) = bytes.split_at(4 * n.div_ceil(1 << shift));
+                for (base, group) in u32s(bases).into_iter().zip(offsets.chunks(1 << shift)) {
+                    starts.extend(group.iter().map(|&offset| base.saturating_add(unit * u32::from(offset))));
+                }
+            }
+        }
+        starts.push(len);
+        starts
+    }
+
     /// Colours of column number `ix`, by its runs; arbitrary where those are forged.
     fn n_colors(&self, ix: usize) -> usize {
         let Modes { encoding, color } = self.place.modes;
@@ -913,14 +929,19 @@ impl<'a> Blob<'a> {
         let mut runs: Vec<Run> = Vec::new();
         offsets.push(0);
         let mut end = 0;
-        for ix in 0..n_columns {
-            let (start, column) = self.column(table, lists, ix)?;
+        let bytes = self.section(lists);
+        for (ix, pair) in self.starts(table).windows(2).enumerate() {
+            let start = pair[0] as usize;
+            let len = match bytes.get(start..pair[1] as usize) {
+                Some(column) => column.len(),
+                None => self.column(table, lists, ix)?.1.len(),
+            };
             if start != end {
                 return Err(self.column_error(table, 0, ix, format!("starts at byte {start}, {end} was expected")));
             }
-            end = start + column.len();
+            end = start + len;
             let before = runs.len();
-            column_rle::decode(column, form, highest, &mut runs)
+            column_rle::decode_first(&bytes[start..], len, form, highest, &mut runs)
                 .map_err(|fault| self.column_error(lists, start + fault.at, ix, fault.what))?;
             if base > 0 {
                 let raised = |r: Run| Run::new(r.first() + base as u16, r.last() + base as u16);
@@ -942,12 +963,12 @@ impl<'a> Blob<'a> {
     /// The solid runs of a surface tile: its runs and the gaps whose fill bit is set.
     fn filled(&self, shown: &Columns) -> Result<Columns> {
         let mut solid = ColumnsBuilder::new(shown.nx(), shown.ny(), shown.nz());
-        for ix in 0..self.n_columns() {
-            let start = self.start(Section::GeometryTable, ix);
+        let starts = self.starts(Section::GeometryTable);
+        for (ix, &start) in starts[..self.n_columns()].iter().enumerate() {
             let runs = &shown.runs()[shown.range(ix)];
             for (i, run) in runs.iter().enumerate() {
                 let mut run = *run;
-                let bit = start / 2 + i;
+                let bit = start as usize / 2 + i;
                 if self.fill(bit) {
                     let Some(above) = runs.get(i + 1) else {
                         let what = "the gap above the last run is marked as solid";
@@ -1060,14 +1081,10 @@ impl<'a> Blob<'a> {
             y_max: runs.iter().map(|r| r.last()).max().unwrap_or(0),
             ..*entry
         };
-        self.check_found(&found, entry)
-    }
-
-    fn check_found(&self, found: &TileEntry, entry: &TileEntry) -> Result<()> {
-        match found == entry {
+        match found == *entry {
             true => Ok(()),
             false => {
-                let what = format!("holds {}, its directory entry says {}", figures(found), figures(entry));
+                let what = format!("holds {}, its directory entry says {}", figures(&found), figures(entry));
                 Err(self.place.error(0, what))
             }
         }
@@ -1474,6 +1491,92 @@ mod tests {
             let flags = if version == 3 { "flags 0x6" } else { "flags 0x2" };
             assert!(refused(old).contains(&format!("{flags}, at most 0x1 was expected")));
         }
+    }
+
+    /// Whether each tile is sound is whether it is read, also where it is not. Returns how many are and are not.
+    fn check_verdicts(bytes: Vec<u8>) -> [usize; 2] {
+        let Ok(file) = opened(bytes) else { return [0; 2] };
+        let mut found = [0; 2];
+        for (k, grid) in file.grids.iter().enumerate() {
+            for (tx, tz) in (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz))) {
+                let Ok(Some(blob)) = file.blob(k, tx, tz) else { continue };
+                let entry = &file.entries[file.tile_ix(k, tx, tz)];
+                let read = blob.level().and_then(|tile| blob.check_figures(&tile, entry));
+                assert_eq!(blob.is_sound(entry), read.is_ok(), "tile ({tx}, {tz}) of level {k}: {read:?}");
+                found[usize::from(read.is_err())] += 1;
+            }
+        }
+        found
+    }
+
+    /// Worlds of columns of all lengths: of a word or more, long and short runs, with and without air below.
+    fn varied_world() -> impl Strategy<Value = Columns> {
+        let tall =
+            prop_oneof![Just(40u32), Just(256), Just(300), Just(3000), Just(65_536)].prop_flat_map(testing::tall_world);
+        let dense = (1u32..12, 3u32..140, 1u32..9, 2u32..7).prop_map(|(nx, ny, nz, k)| {
+            Columns::from_fn(nx, ny, nz, |x, y, z| (x * 7 + z * 3 + y * (1 + (x + z) % 3)) % k == 0 || y < x % 4)
+        });
+        let raised = (1u32..20, 200u32..900, 1u32..9)
+            .prop_map(|(nx, base, nz)| Columns::from_fn(nx, base + 60, nz, |x, y, z| y > base && (x ^ y ^ z) % 9 < 5));
+        prop_oneof![testing::small_world(), testing::height_field(), tall, dense, raised]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+
+        #[test]
+        fn pcast_tiles_are_sound_just_where_they_are_read(
+            columns in varied_world(),
+            mode in 0..MODES.len(),
+            features in 0..=Features::ALL.code(),
+            damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..5u8), 1..60),
+        ) {
+            let scene = scene(columns, MODES[mode]);
+            let good = written_with(&scene, Features::from_code(features).unwrap());
+            let [right, wrong] = check_verdicts(good.clone());
+            prop_assert!(right > 0 || scene.levels[0].solid.runs().is_empty());
+            prop_assert_eq!(wrong, 0);
+            for (at, value, kind) in damage {
+                let mut bytes = good.clone();
+                // Behind the file's header, which is checked elsewhere.
+                let at = size_of::<Header>() + at.index(bytes.len() - size_of::<Header>());
+                bytes[at] = match kind {
+                    0 => bytes[at].wrapping_add(1),
+                    1 => bytes[at].wrapping_sub(1),
+                    2 => bytes[at] ^ 1 << (value % 8),
+                    3 => 0,
+                    _ => value,
+                };
+                reseal(&mut bytes);
+                check_verdicts(bytes);
+            }
+        }
+    }
+
+    #[test]
+    fn pcast_damage_to_any_byte_is_judged_alike_by_both_ways_to_check() {
+        let tall = || Columns::from_fn(5, 300, 4, |x, y, z| (y + x) % 26 < 3 + z && y % 7 != x);
+        let packed = || Columns::from_fn(9, 60, 4, |x, y, z| (y * (1 + x % 4) + z) % 9 < 2);
+        let mut found = [0; 2];
+        for mode in MODES {
+            let worlds = [small(), small_heights(), tall(), packed()];
+            for (world, features) in worlds.into_iter().flat_map(|w| [(w.clone(), Features::NONE), (w, Features::ALL)])
+            {
+                let good = written_with(&scene(world, mode), features);
+                for at in size_of::<Header>()..good.len() {
+                    for value in
+                        [0, 0xFF, good[at] ^ 1, good[at] ^ 0x80, good[at].wrapping_add(1), good[at].wrapping_sub(1)]
+                    {
+                        let mut bytes = good.clone();
+                        bytes[at] = value;
+                        reseal(&mut bytes);
+                        let [right, wrong] = check_verdicts(bytes);
+                        found = [found[0] + right, found[1] + wrong];
+                    }
+                }
+            }
+        }
+        assert!(found.iter().all(|&n| n > 1000), "{found:?}");
     }
 
     /// Small, but with every section, a hidden voxel, both edges of a level.

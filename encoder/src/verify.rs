@@ -28,20 +28,25 @@ pub enum Depth {
 
 /// Checks the tiles of a file whose header and directory were found right.
 pub fn verify(file: &PcastFile, depth: Depth) -> Report {
-    let tiles = file.entries().len() as u64;
+    let n_tiles = file.entries().len() as u64;
     if depth == Depth::Exposure {
-        return Report { tiles, faults: exposure(file) };
+        return Report { tiles: n_tiles, faults: exposure(file) };
     }
-    let faults = file.grids().iter().enumerate().flat_map(|(k, grid)| {
-        let (across, along) = (grid.tiles[0], grid.tiles[1]);
-        let tiles = (0..along).into_par_iter().flat_map_iter(move |tz| (0..across).map(move |tx| (tx, tz)));
-        let check = |(tx, tz)| match depth {
-            Depth::Checksums => file.blob(k, tx, tz).err(),
-            _ => file.check_tile(k, tx, tz).err(),
-        };
-        tiles.filter_map(check).collect::<Vec<Error>>()
+    let tiles = file.grids().iter().enumerate().flat_map(|(k, grid)| {
+        let [across, along] = grid.tiles;
+        (0..along).flat_map(move |tz| (0..across).map(move |tx| (k, tx, tz)))
     });
-    Report { tiles, faults: faults.collect() }
+    let check = |(tile, (k, tx, tz))| {
+        let checked = match depth {
+            Depth::Checksums => file.blob(k, tx, tz).map(drop),
+            _ => file.check_tile(k, tx, tz),
+        };
+        checked.err().map(|fault| (tile, fault))
+    };
+    // Each thread takes the next tile: systems read ahead of who goes from front to back.
+    let mut faults: Vec<(usize, Error)> = tiles.enumerate().par_bridge().filter_map(check).collect();
+    faults.sort_unstable_by_key(|fault| fault.0);
+    Report { tiles: n_tiles, faults: faults.into_iter().map(|fault| fault.1).collect() }
 }
 
 /// What is wrong with tiles and their exposed voxels. Three rows of tiles are in memory.

@@ -123,14 +123,24 @@ impl<'a> Row<'a> {
                 place(x as usize, sample, (f64::from(x as i32) + 0.5) * scale + start);
             }
         } else {
-            let (y, flip, even) = (self.y, fan.flip, n == fan.pixels);
-            for x in stretch.from..stretch.to {
+            let y = self.y;
+            let at = |x: u32| {
                 let center = f64::from(x as i32) + 0.5;
                 let dx = vx - center * vw;
                 let dx = if dx == 0.0 { f64::INFINITY } else { dx };
-                let at = y + (far - center) * dy / dx;
-                let sample = if even { x } else { fan.sample_at(x) };
-                place(x as usize, if flip { n - 1 - sample } else { sample }, at);
+                y + (far - center) * dy / dx
+            };
+            let flip = |sample: u32| if fan.flip { n - 1 - sample } else { sample };
+            if n == fan.pixels {
+                // A sample a pixel: a loop that compilers make vectors of.
+                let (first, step) = if fan.flip { (n - 1, u32::MAX) } else { (0, 1) };
+                for x in stretch.from..stretch.to {
+                    place(x as usize, first.wrapping_add(x.wrapping_mul(step)), at(x));
+                }
+            } else {
+                for x in stretch.from..stretch.to {
+                    place(x as usize, flip(fan.sample_at(x)), at(x));
+                }
             }
         }
     }
@@ -242,13 +252,20 @@ fn remap_rows(task: RowsTask<'_>) {
 }
 
 /// The rows' stretches, block of columns by block, each as far as it lies in the block, with its row's number.
-fn parts(stretches: &[[Stretch; 3]], width: u32) -> impl Iterator<Item = (usize, Stretch)> + '_ {
-    (0..width).step_by(COLUMNS_A_BLOCK as usize).flat_map(move |from| {
+fn parts(stretches: &[[Stretch; 3]], width: u32) -> Vec<(usize, Stretch)> {
+    let mut parts = Vec::with_capacity(2 * stretches.len() * width.div_ceil(COLUMNS_A_BLOCK) as usize);
+    for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
         let to = (from + COLUMNS_A_BLOCK).min(width);
-        let cut = move |s: Stretch| Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
-        let of_row = move |(r, stretches): (usize, &[Stretch; 3])| stretches.map(|s| (r, cut(s)));
-        stretches.iter().enumerate().flat_map(of_row).filter(|(_, part)| part.from < part.to)
-    })
+        for (r, stretches) in stretches.iter().enumerate() {
+            for s in stretches {
+                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..*s };
+                if part.from < part.to {
+                    parts.push((r, part));
+                }
+            }
+        }
+    }
+    parts
 }
 
 /// The voxels' boxes as a pixel's ray meets them.

@@ -286,7 +286,11 @@ pub(super) fn obj(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let fail = |e| Error::format(path, format!("OBJ: {e}"));
     let (models, materials) = super::guarded(path, "OBJ", || {
-        tobj::load_obj_buf(&mut &*bytes, &options, |name| tobj::load_mtl(folder.join(name))).map_err(fail)
+        let materials = |name: &Path| {
+            let file = super::map(&folder.join(name)).map_err(|_| tobj::LoadError::OpenFileFailed)?;
+            tobj::load_mtl_buf(&mut &file[..])
+        };
+        tobj::load_obj_buf(&mut &*bytes, &options, materials).map_err(fail)
     })?;
     let mut out = Mesh::default();
     let materials = materials.unwrap_or_else(|e| {
@@ -305,9 +309,8 @@ pub(super) fn obj(path: &Path, bytes: &[u8]) -> Result<Mesh> {
             // Options stand before the name.
             let name = if named.starts_with('-') { named.rsplit(' ').next()? } else { named }.replace('\\', "/");
             let file = folder.join(&name);
-            let bytes = || std::fs::read(&file).map_err(|e| Error::io(&file, "read", e));
             textures.number(&mut out, name.clone(), [Wrap::Repeat; 2], || {
-                Texture::read(&file, &bytes()?, [Wrap::Repeat; 2])
+                Texture::read(&file, &super::map(&file)?, [Wrap::Repeat; 2])
             })
         });
         // Many writers leave the diffuse colour of what has a picture black.
@@ -368,6 +371,11 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     let fail = |e: gltf::Error| Error::format(path, format!("glTF: {e}"));
     super::guarded(path, "glTF", || {
         let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(bytes).map_err(fail)?;
+        for buffer in document.buffers() {
+            if let gltf::buffer::Source::Uri(uri) = buffer.source() {
+                check_uri(path, uri)?;
+            }
+        }
         let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(fail)?;
         let scene = document.default_scene().or_else(|| document.scenes().next());
         let scene = scene.ok_or_else(|| Error::format(path, "glTF: no scene"))?;
@@ -435,6 +443,38 @@ pub(super) fn gltf(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     })
 }
 
+/// Refuses a file that a glTF at `path` names where that may have no end; what is no file is not looked at.
+#[cfg(feature = "mesh")]
+fn check_uri(path: &Path, uri: &str) -> Result<()> {
+    let name = match uri.split_once(':') {
+        Some(("file", name)) => name.strip_prefix("//").unwrap_or(name).to_owned(),
+        Some(_) => return Ok(()),
+        None => percent_decoded(uri),
+    };
+    super::check_regular(&path.parent().unwrap_or(Path::new("")).join(name))
+}
+
+/// A relative reference without its `%20` and the like.
+#[cfg(feature = "mesh")]
+fn percent_decoded(text: &str) -> String {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.as_bytes();
+    while let [first, after @ ..] = rest {
+        let code = after.get(..2).and_then(|hex| u8::from_str_radix(std::str::from_utf8(hex).ok()?, 16).ok());
+        match code {
+            Some(code) if *first == b'%' => {
+                bytes.push(code);
+                rest = &after[2..];
+            }
+            _ => {
+                bytes.push(*first);
+                rest = after;
+            }
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
 /// Number of a texture's picture: in a buffer, in the text itself, or in a file beside `path`.
 #[cfg(feature = "mesh")]
 fn gltf_texture(
@@ -463,6 +503,7 @@ fn gltf_texture(
             Texture::read(path, bytes, wrap)
         }
         gltf::image::Source::Uri { uri, .. } => {
+            check_uri(path, uri)?;
             let source = gltf::buffer::Source::Uri(uri);
             let bytes = gltf::buffer::Data::from_source(source, path.parent()).map_err(|e| wrong(e.to_string()))?;
             Texture::read(path, &bytes.0, wrap)

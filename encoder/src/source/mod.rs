@@ -453,7 +453,13 @@ fn detect_content(head: &[u8]) -> Option<Format> {
 
 /// A whole file in memory, mapped.
 fn map(path: &Path) -> Result<Map> {
-    // Looked at before it is opened: to open a pipe would wait for its other end.
+    check_regular(path)?;
+    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    Map::new(path, &file).map_err(|e| Error::io(path, "map", e))
+}
+
+/// Refuses what may have no end. Looked at before it is opened: to open a pipe would wait for its other end.
+fn check_regular(path: &Path) -> Result<()> {
     let kind = fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     if kind.is_dir() {
         return Err(Error::format(path, "this is a folder; expected a file"));
@@ -461,8 +467,7 @@ fn map(path: &Path) -> Result<Map> {
     if !kind.is_file() {
         return Err(Error::format(path, "this is a device or a pipe; expected a file"));
     }
-    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-    Map::new(path, &file).map_err(|e| Error::io(path, "map", e))
+    Ok(())
 }
 
 /// Checks that a world of `dims` (x, y up, z) can be held; `hint` says what to do about one too high.

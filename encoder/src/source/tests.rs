@@ -1441,6 +1441,44 @@ fn gltf_textures_are_read_from_buffers_and_files_and_tinted() {
     assert!(with(r#"{"uri": "none.png"}"#, "[1, 0, 0, 1]").pixels().all(|p| p.0 == [255, 0, 0]));
 }
 
+/// Otherwise these would be read until memory ends.
+#[test]
+#[cfg(all(feature = "mesh", unix))]
+fn meshes_that_name_devices_do_not_have_them_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let notes = |name: &str, text: &[u8]| {
+        fs::write(dir.path().join(name), text).unwrap();
+        open(&dir.path().join(name), &opts("--voxel 1")).map(|input| input.notes.join("\n"))
+    };
+    let square = "v 0 0 0\nv 8 0 0\nv 8 0 8\nvt 0 1\nusemtl m\nf 1/1 2/1 3/1\n";
+    let of_obj = |library: &str| notes("m.obj", format!("mtllib {library}\n{square}").as_bytes()).unwrap();
+    assert!(of_obj("/dev/zero").contains("materials are left out"));
+    fs::write(dir.path().join("m.mtl"), "newmtl m\nmap_Kd /dev/zero\n").unwrap();
+    let said = "/dev/zero: this is a device or a pipe; expected a file";
+    assert!(of_obj("m.mtl").contains(said));
+
+    let of_gltf = |buffer: &str, image: &str| {
+        let json = format!(
+            r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}], "nodes": [{{"mesh": 0}}],
+            "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0, "TEXCOORD_0": 1}}, "material": 0}}]}}],
+            "materials": [{{"pbrMetallicRoughness": {{"baseColorTexture": {{"index": 0}}}}}}],
+            "textures": [{{"source": 0}}], "images": [{{"uri": "{image}"}}],
+            "buffers": [{{"byteLength": 60, "uri": "{buffer}"}}],
+            "bufferViews": [{{"buffer": 0, "byteLength": 36}}, {{"buffer": 0, "byteOffset": 36, "byteLength": 24}}],
+            "accessors": [{{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [8, 0, 8]}},
+                          {{"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"}}]}}"#
+        );
+        notes("m.gltf", json.as_bytes())
+    };
+    let corners: [[f32; 3]; 5] = [[0.0; 3], [8.0, 0.0, 0.0], [8.0, 0.0, 8.0], [0.0; 3], [0.0; 3]];
+    fs::write(dir.path().join("a b.bin"), bytemuck::cast_slice(&corners)).unwrap();
+    for zero in ["/dev/zero", "file:///dev/zero", "file:/dev/zero", "%2Fdev/%7aero"] {
+        assert!(of_gltf("a%20b.bin", zero).unwrap().contains(said), "{zero}");
+        assert!(of_gltf(zero, "none.png").unwrap_err().to_string().contains(said), "{zero}");
+    }
+    assert!(of_gltf("a%20b.bin", "none.png").unwrap().contains("none.png"));
+}
+
 #[test]
 fn openvdb_is_refused_with_what_to_do() {
     let text = error("cloud.vdb", b" BDV\0\0\0\0\xde\0\0\0", "");
