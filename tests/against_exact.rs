@@ -15,12 +15,22 @@ use planecast_encoder::Columns;
 
 const SIZE: [u32; 2] = [300, 240];
 
-/// Least share of pixels with the same voxel, and of those with it within one pixel, in percent.
+/// Least share of pixels with the same voxel, and of those with it within one pixel, in percent: what is promised of any
+/// world.
 fn bounds(kind: Kind) -> [f64; 2] {
     match kind {
         Kind::Level => [99.8, 99.8],
         Kind::Turned => [95.0, 99.5],
         Kind::Far => [90.0, 97.0],
+    }
+}
+
+/// The same as the standing poses reach it, but for a little.
+fn reached(kind: Kind) -> [f64; 2] {
+    match kind {
+        Kind::Level => [99.99, 99.99],
+        Kind::Turned => [99.0, 99.75],
+        Kind::Far => [96.5, 98.5],
     }
 }
 
@@ -35,7 +45,7 @@ fn check(worlds: &[World], options: &Options, size: [u32; 2]) {
             println!("{line}");
             assert_eq!(sane(&frame), Ok(()), "{line}");
             assert_eq!(sane(&exact), Ok(()), "{line}");
-            let [same, near] = bounds(pose.kind);
+            let [same, near] = reached(pose.kind);
             if agreement.same_percent() < same || agreement.near_percent() < near || agreement.depth > 1e-3 {
                 below.push(format!("{line}  (at least {same} and {near}, depth 1e-3)"));
             }
@@ -172,7 +182,7 @@ fn bounds_catch_planes_beside_their_place() {
         let e = 2.0 * beside.half_extent().x / f64::from(beside.width);
         beside.yaw += e.atan().to_degrees();
         let agreement = compare(&world.render(&beside, &plain()), &world.exact(&pose.camera, &plain()));
-        let [same, near] = bounds(pose.kind);
+        let [same, near] = reached(pose.kind);
         caught += usize::from(agreement.same_percent() < same || agreement.near_percent() < near);
     }
     assert!(caught * 2 > poses.len(), "{caught} of {} poses", poses.len());
