@@ -26,8 +26,8 @@
 
 const MISS: f32 = -1.0;
 
-// Depth at which a ray enters a voxel, at least 0; MISS where it does not.
-fn enter(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
+// Depths at which a ray enters a voxel's box, at least 0, and leaves it; the first is greater where it passes by.
+fn cut(voxel: vec4<i32>, inverse: vec3<f32>) -> vec2<f32> {
     let l = u32(voxel.w);
     let lower = vec3<f32>((voxel.xyz << vec3(l)) - frame.eye_cell) - frame.eye_fract;
     // From whole numbers: a sum with the other face would lose one at hand.
@@ -36,12 +36,36 @@ fn enter(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
     let b = upper * inverse;
     let near3 = min(a, b);
     let far3 = max(a, b);
-    let near = max(max(near3.x, near3.y), max(near3.z, 0.0));
-    let far = min(min(far3.x, far3.y), far3.z);
-    // Rounding must not let a ray slip between two voxels.
-    return select(MISS, near, near <= far * (1.0 + 1e-6));
+    return vec2(max(max(near3.x, near3.y), max(near3.z, 0.0)), min(min(far3.x, far3.y), far3.z));
 }
 
+// Depth at which a ray enters a voxel, at least 0; MISS where it does not, or there is none.
+fn enter(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
+    if (voxel.w < 0) {
+        return MISS;
+    }
+    let depth = cut(voxel, inverse);
+    // Rounding must not let a ray slip between two voxels.
+    return select(MISS, depth.x, depth.x <= depth.y * (1.0 + 1e-6));
+}
+
+//!if RETEST
+// Whether a plane of a fan draws a sample: beyond its own samples its part of the buffer is not drawn.
+fn is_drawn(fan: u32, k: u32, sample: i32) -> bool {
+    let p = frame.fans[fan].first_plane + k;
+    return sample >= planes[p].first && sample < planes[p].end;
+}
+
+// By how much a ray misses a voxel, as an angle: a share of the distance. The sky is always met.
+fn missed_by(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
+    if (voxel.w < 0) {
+        return -STEEP;
+    }
+    let depth = cut(voxel, inverse);
+    return (depth.x - depth.y) / depth.x;
+}
+
+//!endif
 fn put(i: u32, sample: u32, voxel: vec4<i32>, depth: u32) {
 //!if LATE_COLOR
     image_color[i] = color_of(voxel);
@@ -108,61 +132,44 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     put(i, own, voxel_of(own), plane_depth[own]);
 //!else
     let inverse = ray_inverse(pixel_ray(id.x, id.y));
-    let own_voxel = voxel_of(own);
-    var near_own = MISS;
-    if (own_voxel.w >= 0) {
-        near_own = enter(own_voxel, inverse);
-    }
     let beside = buffer_index(place.fan, place.second, place.sample);
-    let beside_plane = frame.fans[place.fan].first_plane + place.second;
-    var near_beside = MISS;
-    var beside_voxel = vec4(-1);
-    // Beyond a plane's own samples its part of the buffer is not drawn.
-    if (i32(place.sample) >= planes[beside_plane].first && i32(place.sample) < planes[beside_plane].end) {
-        beside_voxel = voxel_of(beside);
-        if (beside_voxel.w >= 0) {
-            near_beside = enter(beside_voxel, inverse);
-        }
+    let near_own = enter(voxel_of(own), inverse);
+    var near_beside = near_own;
+    let both = is_drawn(place.fan, place.second, i32(place.sample));
+    if (both) {
+        near_beside = enter(voxel_of(beside), inverse);
     }
-    // The nearer of the two is what the ray sees.
-    if (near_beside != MISS && (near_own == MISS || near_beside < near_own)) {
-        put(i, beside, beside_voxel, bitcast<u32>(near_beside));
-        return;
-    }
-    if (near_own != MISS) {
-        put(i, own, own_voxel, bitcast<u32>(near_own));
-        return;
-    }
-    // The nearest sample that the ray meets among those around the place; else one of the two planes' own
-    // that shows the sky; else the nearest plane's.
     var best = own;
-    var best_depth = MISS;
-    var sky = select(NONE, own, own_voxel.w < 0);
-    for (var side = 0u; side < 2u; side++) {
-        let k = select(place.plane, place.second, side == 1u);
-        let p = frame.fans[place.fan].first_plane + k;
-        let start = max(i32(place.sample) - 1, planes[p].first);
-        let to = min(i32(place.sample) + 2, planes[p].end);
-        for (var sample = start; sample < to; sample++) {
-            let at = buffer_index(place.fan, k, u32(sample));
-            let voxel = voxel_of(at);
-            if (voxel.w < 0) {
-                // Not a neighbour's along the line: that would be a notch in a silhouette.
-                sky = select(sky, at, sky == NONE && u32(sample) == place.sample);
+    var near = near_own;
+    // Of voxels in both planes the nearer is what the ray sees.
+    if (near_beside != MISS && (near == MISS || near_beside < near)) {
+        best = beside;
+        near = near_beside;
+    }
+    // Where it does not meet both, the nearest that it meets of the samples next to them too.
+    if (near_own == MISS || near_beside == MISS) {
+        for (var turn = 0u; turn < 4u; turn++) {
+            let k = select(place.plane, place.second, turn >= 2u);
+            let sample = i32(place.sample) + select(-1, 1, (turn & 1u) == 1u);
+            if (!is_drawn(place.fan, k, sample)) {
                 continue;
             }
-            let near = enter(voxel, inverse);
-            if (near != MISS && (best_depth == MISS || near < best_depth)) {
+            let at = buffer_index(place.fan, k, u32(sample));
+            let depth = enter(voxel_of(at), inverse);
+            if (depth != MISS && (near == MISS || depth < near)) {
                 best = at;
-                best_depth = near;
+                near = depth;
             }
         }
     }
-    if (best_depth != MISS) {
-        put(i, best, voxel_of(best), bitcast<u32>(best_depth));
+    if (near != MISS) {
+        put(i, best, voxel_of(best), bitcast<u32>(near));
     } else {
-        let chosen = select(sky, own, sky == NONE);
-        put(i, chosen, voxel_of(chosen), plane_depth[chosen]);
+        // The sky if one of the two planes shows it, else the voxel that it misses less.
+        if (both && missed_by(voxel_of(beside), inverse) < missed_by(voxel_of(own), inverse)) {
+            best = beside;
+        }
+        put(i, best, voxel_of(best), plane_depth[best]);
     }
 //!endif
 //!endif

@@ -69,7 +69,7 @@ pub struct Fan {
     pub first_sample: usize,
     /// Samples count against the pixel axis.
     pub flip: bool,
-    /// The far edge: a row's y or a column's x, in pixels.
+    /// The far edge: y or x, in pixels, of the centres of the outermost row or column.
     pub far: f64,
     /// Where the first plane's stripe begins on the far edge, in pixels along it.
     pub start: f64,
@@ -157,7 +157,9 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
     let mut fans = [Fan::default(); 4];
     let mut widths = [None; 4];
     for f in 0..4 {
-        let far = [0.0, h, 0.0, w][f];
+        // Where pixels have their centres: planes that run diagonally, as of a level camera rolled by 45°, then pass through
+        // those of all pixels, and else half-way between them.
+        let far = [0.5, h - 0.5, 0.5, w - 0.5][f];
         fans[f].far = far;
         let pixels = if vertical(f) { camera.height } else { camera.width };
         fans[f].pixels = pixels;

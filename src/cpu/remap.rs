@@ -123,14 +123,24 @@ impl<'a> Row<'a> {
                 place(x as usize, sample, (f64::from(x as i32) + 0.5) * scale + start);
             }
         } else {
-            let (y, flip, even) = (self.y, fan.flip, n == fan.pixels);
-            for x in stretch.from..stretch.to {
+            let y = self.y;
+            let at = |x: u32| {
                 let center = f64::from(x as i32) + 0.5;
                 let dx = vx - center * vw;
                 let dx = if dx == 0.0 { f64::INFINITY } else { dx };
-                let at = y + (far - center) * dy / dx;
-                let sample = if even { x } else { fan.sample_at(x) };
-                place(x as usize, if flip { n - 1 - sample } else { sample }, at);
+                y + (far - center) * dy / dx
+            };
+            let flip = |sample: u32| if fan.flip { n - 1 - sample } else { sample };
+            if n == fan.pixels {
+                // A sample a pixel: a loop that compilers make vectors of.
+                let (first, step) = if fan.flip { (n - 1, u32::MAX) } else { (0, 1) };
+                for x in stretch.from..stretch.to {
+                    place(x as usize, first.wrapping_add(x.wrapping_mul(step)), at(x));
+                }
+            } else {
+                for x in stretch.from..stretch.to {
+                    place(x as usize, flip(fan.sample_at(x)), at(x));
+                }
             }
         }
     }
@@ -242,13 +252,20 @@ fn remap_rows(task: RowsTask<'_>) {
 }
 
 /// The rows' stretches, block of columns by block, each as far as it lies in the block, with its row's number.
-fn parts(stretches: &[[Stretch; 3]], width: u32) -> impl Iterator<Item = (usize, Stretch)> + '_ {
-    (0..width).step_by(COLUMNS_A_BLOCK as usize).flat_map(move |from| {
+fn parts(stretches: &[[Stretch; 3]], width: u32) -> Vec<(usize, Stretch)> {
+    let mut parts = Vec::with_capacity(2 * stretches.len() * width.div_ceil(COLUMNS_A_BLOCK) as usize);
+    for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
         let to = (from + COLUMNS_A_BLOCK).min(width);
-        let cut = move |s: Stretch| Stretch { from: s.from.max(from), to: s.to.min(to), ..s };
-        let of_row = move |(r, stretches): (usize, &[Stretch; 3])| stretches.map(|s| (r, cut(s)));
-        stretches.iter().enumerate().flat_map(of_row).filter(|(_, part)| part.from < part.to)
-    })
+        for (r, stretches) in stretches.iter().enumerate() {
+            for s in stretches {
+                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..*s };
+                if part.from < part.to {
+                    parts.push((r, part));
+                }
+            }
+        }
+    }
+    parts
 }
 
 /// The voxels' boxes as a pixel's ray meets them.
@@ -262,9 +279,10 @@ struct Boxes {
 const MISS: f32 = f32::INFINITY;
 
 impl Boxes {
-    /// Depth at which a ray (inverse components given) enters a voxel, at least 0; [`MISS`] where it misses it or there is none.
+    /// Depths at which a ray (inverse components given) enters a voxel's box, at least 0, and leaves it; the first is
+    /// greater where it passes by.
     #[inline(always)]
-    fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> f32 {
+    fn cut(&self, voxel: [i32; 4], inverse: [f32; 3]) -> [f32; 2] {
         let l = voxel[3];
         let (mut near, mut far) = (0.0f32, f32::INFINITY);
         for axis in 0..3 {
@@ -275,16 +293,48 @@ impl Boxes {
             near = Real::max(near, Real::min(a, b));
             far = Real::min(far, Real::max(a, b));
         }
+        [near, far]
+    }
+
+    /// Depth at which a ray enters a voxel, at least 0; [`MISS`] where it misses it or there is none.
+    #[inline(always)]
+    fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> f32 {
+        let [near, far] = self.cut(voxel, inverse);
         // Rounding must not let a ray slip between two voxels.
-        if near <= far * (1.0 + 1e-6) && l >= 0 { near } else { MISS }
+        if near <= far * (1.0 + 1e-6) && voxel[3] >= 0 { near } else { MISS }
+    }
+
+    /// [`Boxes::enter`] of the voxels at `at`, each with the ray at its place, in vectors. `voxel` is scratch.
+    #[inline(always)]
+    fn enter_each(
+        &self,
+        shown: &[[i32; 4]],
+        at: &[u32],
+        inverse: &[[f32; BLOCK]; 3],
+        voxel: &mut [[i32; BLOCK]; 4],
+        near: &mut [f32; BLOCK],
+    ) {
+        let m = at.len();
+        let [x, y, z, l] = voxel;
+        let scratch = x[..m].iter_mut().zip(&mut y[..m]).zip(&mut z[..m]).zip(&mut l[..m]);
+        for ((((x, y), z), l), &at) in scratch.zip(at) {
+            [*x, *y, *z, *l] = shown[at as usize];
+        }
+        let voxel = x[..m].iter().zip(&y[..m]).zip(&z[..m]).zip(&l[..m]);
+        let [dx, dy, dz] = inverse;
+        let inverse = dx[..m].iter().zip(&dy[..m]).zip(&dz[..m]);
+        for ((near, (((&x, &y), &z), &l)), ((&dx, &dy), &dz)) in near[..m].iter_mut().zip(voxel).zip(inverse) {
+            *near = self.enter([x, y, z, l], [dx, dy, dz]);
+        }
     }
 }
 
-/// Like [`remap`], but each pixel tests the voxels of the samples around its place against its own ray: it takes the
-/// nearer of those of the two planes beside it; where it meets neither, the nearest that it does meet among the samples
-/// next to them. Depth is where the pixel's own ray enters the voxel. (Not in the papers.) Needs [`PlaneBuffer::voxel`];
-/// the voxel of each pixel goes to `voxel` unless that is empty, in the same form. Where planes have no colours they are
-/// looked up here, for the samples that are taken.
+/// Like [`remap`], but each pixel tests voxels against its own ray: those of its sample in the two planes beside it and,
+/// unless it meets both, those of the samples next to them. It takes the nearest that it meets: what it truly shows is no
+/// farther, since each voxel of the buffer is there. Where it meets none, it takes the sky if one of the two planes shows
+/// it, else the voxel of theirs that it misses less. Depth is where the pixel's own ray enters the voxel. (Not in the
+/// papers.) Needs [`PlaneBuffer::voxel`]; the voxel of each pixel goes to `voxel` unless that is empty, in the same form.
+/// Where planes have no colours they are looked up here, for the samples that are taken.
 pub fn remap_retest(
     resident: &Resident,
     setup: &Setup,
@@ -351,12 +401,35 @@ const BLOCK: usize = COLUMNS_A_BLOCK as usize;
 
 /// A stretch's pixels, one after the other in each array, so that they are worked on in vectors.
 struct Block {
-    /// Samples of the two planes beside a pixel, within its fan; that of the nearest plane first.
+    /// The two planes beside a pixel, within its fan, the nearest first; which of their samples; where those stand in the
+    /// fan's part of the buffer.
+    planes: [[u32; BLOCK]; 2],
+    sample: [u32; BLOCK],
     at: [[u32; BLOCK]; 2],
-    second: [u32; BLOCK],
     inverse: [[f32; BLOCK]; 3],
-    voxel: [[i32; BLOCK]; 4],
     near: [[f32; BLOCK]; 2],
+    again: Again,
+    voxel: [[i32; BLOCK]; 4],
+}
+
+/// Those of a block's pixels whose rays do not meet both planes' voxels, and so look at the samples next to them.
+struct Again {
+    pixel: [u8; BLOCK],
+    at: [u32; BLOCK],
+    inverse: [[f32; BLOCK]; 3],
+    near: [f32; BLOCK],
+}
+
+impl Block {
+    const EMPTY: Block = Block {
+        planes: [[0; BLOCK]; 2],
+        sample: [0; BLOCK],
+        at: [[0; BLOCK]; 2],
+        inverse: [[0.0; BLOCK]; 3],
+        near: [[0.0; BLOCK]; 2],
+        again: Again { pixel: [0; BLOCK], at: [0; BLOCK], inverse: [[0.0; BLOCK]; 3], near: [0.0; BLOCK] },
+        voxel: [[0; BLOCK]; 4],
+    };
 }
 
 #[inline(always)]
@@ -374,13 +447,7 @@ fn retest_rows(task: RetestTask<'_>) {
     let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
     let rows: Vec<_> = (first_row..first_row + (color.len() / w) as u32).map(|r| Row::new(setup, r, width)).collect();
     let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
-    let mut block = Block {
-        at: [[0; BLOCK]; 2],
-        second: [0; BLOCK],
-        inverse: [[0.0; BLOCK]; 3],
-        voxel: [[0; BLOCK]; 4],
-        near: [[0.0; BLOCK]; 2],
-    };
+    let mut block = Block::EMPTY;
     for (r, part) in parts(&stretches, width) {
         let y = f64::from(rows[r].row) + 0.5;
         let start = camera.ray(&basis, 0.5, y);
@@ -392,17 +459,18 @@ fn retest_rows(task: RetestTask<'_>) {
         let shown = &buffer.voxel[samples.clone()];
         let (colors, depths) = (buffer.color.get(samples.clone()), &buffer.depth[samples]);
 
-        let [own, beside] = &mut block.at;
+        let ([own, beside], [planes, seconds]) = (&mut block.at, &mut block.planes);
         rows[r].gather(part, |x, place| {
             let i = (x as u32 - part.from) as usize % BLOCK;
             own[i] = place.plane * n + place.sample;
             beside[i] = place.second * n + place.sample;
-            block.second[i] = place.second;
+            (planes[i], seconds[i], block.sample[i]) = (place.plane, place.second, place.sample);
         });
         if !whole[part.fan] {
-            for ((beside, own), &second) in beside[..m].iter_mut().zip(&own[..m]).zip(&block.second[..m]) {
+            let places = own[..m].iter().zip(&block.sample[..m]).zip(&seconds[..m]);
+            for (beside, ((own, sample), &second)) in beside[..m].iter_mut().zip(places) {
                 let [first, end] = drawn[second as usize];
-                if !(first..end).contains(&(*beside - second * n)) {
+                if !(first..end).contains(sample) {
                     *beside = *own;
                 }
             }
@@ -418,38 +486,47 @@ fn retest_rows(task: RetestTask<'_>) {
             (*dx, *dy, *dz) = (inverse(start.x, step.x), inverse(start.y, step.y), inverse(start.z, step.z));
         }
         for (at, near) in block.at.iter().zip(&mut block.near) {
-            let [x, y, z, l] = &mut block.voxel;
-            let voxel = x[..m].iter_mut().zip(&mut y[..m]).zip(&mut z[..m]).zip(&mut l[..m]);
-            for ((((x, y), z), l), &at) in voxel.zip(&at[..m]) {
-                [*x, *y, *z, *l] = shown[at as usize];
-            }
-            let voxel = x[..m].iter().zip(&y[..m]).zip(&z[..m]).zip(&l[..m]);
-            let [dx, dy, dz] = &block.inverse;
-            let inverse = dx[..m].iter().zip(&dy[..m]).zip(&dz[..m]);
-            for ((near, (((&x, &y), &z), &l)), ((&dx, &dy), &dz)) in near[..m].iter_mut().zip(voxel).zip(inverse) {
-                *near = boxes.enter([x, y, z, l], [dx, dy, dz]);
-            }
+            boxes.enter_each(shown, &at[..m], &block.inverse, &mut block.voxel, near);
         }
-        let ([own, beside], [near, near_beside]) = (&mut block.at, &mut block.near);
-        // The ray may meet the own plane's voxel inside the surface, behind a voxel that only the plane on its
-        // other side shows: the nearer of the two is what it sees.
+        let ([own, beside], [near, near_beside], again) = (&mut block.at, &mut block.near, &mut block.again);
+        let mut n_again = 0;
+        for i in 0..m {
+            let (one, other) = (near[i], near_beside[i]);
+            // Sky all around, as in most of a sky: nothing else to find.
+            let sky = one == other && own[i] != beside[i] && all_sky(shown, own[i]) && all_sky(shown, beside[i]);
+            again.pixel[n_again] = i as u8;
+            n_again += usize::from((one == MISS || other == MISS) && !sky);
+        }
+        // Of voxels in both planes the nearer is what the ray sees: behind it the other lies inside the surface.
         for (((at, beside), z), near) in
             own[..m].iter_mut().zip(&beside[..m]).zip(&mut near[..m]).zip(&near_beside[..m])
         {
             (*at, *z) = if *near < *z { (*beside, *near) } else { (*at, *z) };
         }
-        for i in 0..m {
+        for (j, &i) in again.pixel[..n_again].iter().enumerate() {
+            for (compact, all) in again.inverse.iter_mut().zip(&block.inverse) {
+                compact[j] = all[usize::from(i)];
+            }
+        }
+        for (planes, step) in block.planes.iter().flat_map(|planes| [(planes, -1), (planes, 1)]) {
+            for (at, &i) in again.at.iter_mut().zip(&again.pixel[..n_again]) {
+                let i = usize::from(i);
+                let (plane, sample) = (planes[i], block.sample[i].wrapping_add_signed(step));
+                let [first, end] = drawn[plane as usize];
+                *at = if (first..end).contains(&sample) { plane * n + sample } else { own[i] };
+            }
+            boxes.enter_each(shown, &again.at[..n_again], &again.inverse, &mut block.voxel, &mut again.near);
+            for ((&at, &z), &i) in again.at.iter().zip(&again.near).zip(&again.pixel[..n_again]) {
+                let i = usize::from(i);
+                (own[i], near[i]) = if z < near[i] { (at, z) } else { (own[i], near[i]) };
+            }
+        }
+        for (j, &i) in again.pixel[..n_again].iter().enumerate() {
+            let i = usize::from(i);
             if near[i] == MISS {
-                // Sky all around, as in most of a sky: what `retest` would find.
-                if own[i] != beside[i] && all_sky(shown, own[i]) && all_sky(shown, beside[i]) {
-                    continue;
-                }
-                let inverse = [0, 1, 2].map(|axis| block.inverse[axis][i]);
-                let place = [own[i] / n, block.second[i], own[i] % n];
-                (own[i], near[i]) = retest(fan, shown, drawn, &boxes, place, inverse);
-                if near[i] == MISS {
-                    near[i] = depths[own[i] as usize];
-                }
+                let inverse = [0, 1, 2].map(|axis| again.inverse[axis][j]);
+                own[i] = missed(shown, &boxes, [own[i], beside[i]], inverse);
+                near[i] = depths[own[i] as usize];
             }
         }
         let out = r * w + part.from as usize..r * w + part.to as usize;
@@ -485,45 +562,19 @@ fn all_sky(shown: &[[i32; 4]], at: u32) -> bool {
     around.is_some_and(|samples| samples.iter().all(|voxel| voxel[3] < 0))
 }
 
-/// The best sample around `sample` of `plane` and of the plane `second` on the pixel's other side, where the ray meets
-/// neither plane's own, and the depth at which the ray meets it: the nearest one met; else one of the two planes' own that
-/// shows the sky; else the nearest plane's. `shown` and `drawn` are the fan's part of the buffer and of the planes.
+/// Of the two planes' own samples, whose voxels the ray misses, as it does those next to them: the one that shows the sky, else
+/// the one that it misses less. (Not one of those next to them: its depth and, of a silhouette, its sky are not the pixel's.)
 #[cold]
-fn retest(
-    fan: &Fan,
-    shown: &[[i32; 4]],
-    drawn: &[[u32; 2]],
-    boxes: &Boxes,
-    [plane, second, sample]: [u32; 3],
-    inverse: [f32; 3],
-) -> (u32, f32) {
-    let at = |k: u32, sample: u32| k * fan.n_samples + sample;
-    let own = at(plane, sample);
-    let mut best = (own, MISS);
-    let mut sky = (shown[own as usize] == SKY).then_some(own);
-    for k in [plane, second] {
-        let [first, end] = drawn[k as usize];
-        for sample in sample.saturating_sub(1).max(first)..(sample + 2).min(end) {
-            let i = at(k, sample);
-            let voxel = shown[i as usize];
-            if voxel == SKY {
-                // Not that of a neighbour along the line: with the plane's own distance that can be two pixels away, and
-                // would be a notch in a silhouette.
-                if i % fan.n_samples == own % fan.n_samples {
-                    sky = sky.or(Some(i));
-                }
-                continue;
-            }
-            let near = boxes.enter(voxel, inverse);
-            if near < best.1 {
-                best = (i, near);
-            }
+fn missed(shown: &[[i32; 4]], boxes: &Boxes, [own, beside]: [u32; 2], inverse: [f32; 3]) -> u32 {
+    let [by, by_beside] = [own, beside].map(|at| match shown[at as usize] {
+        SKY => f32::NEG_INFINITY,
+        voxel => {
+            let [near, far] = boxes.cut(voxel, inverse);
+            // As an angle: a share of the distance.
+            (near - far) / near
         }
-    }
-    match sky {
-        Some(i) if best.1 == MISS => (i, MISS),
-        _ => best,
-    }
+    });
+    if by_beside < by { beside } else { own }
 }
 
 /// Which sample of the plane buffer each pixel takes; with fewer planes than reach every pixel, [`HOLE`] where none passes

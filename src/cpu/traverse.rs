@@ -16,8 +16,8 @@
 //! for feet that rounding puts lower, and for a second gap (behind empty columns), and goes on in the general way there, so
 //! that pictures are the same to the bit. Counters are not: what is not looked at is not counted.
 //!
-//! **Cull.** See [`Culling`]. All tests that reject are half a sample looser than the test that draws, so that no
-//! combination of switches changes a picture.
+//! **Cull.** See [`Culling`]. All tests that reject are a sixteenth of a sample looser than the test that draws, far more
+//! than rounding takes, so that no combination of switches changes a picture.
 
 use crate::options::Culling;
 use crate::plane_setup::{Plane, Setup};
@@ -122,7 +122,7 @@ pub struct PlaneBuffer {
     pub voxel: Vec<[i32; 4]>,
 }
 
-/// Samples that a walk over ground writes at once.
+/// Samples that short spans are written by at once.
 const LANES: usize = 8;
 
 /// No voxel.
@@ -346,7 +346,8 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool
     fract_y: R,
     /// More samples than any plane has.
     limit: R,
-    /// The open window: samples, and the slopes at its ends.
+    /// The open window: samples, and slopes near its ends: of what stays below `s_lo` or above `s_hi`, no sample in it shows
+    /// anything.
     lo: i32,
     hi: i32,
     s_lo: R,
@@ -366,14 +367,12 @@ struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool
     s_hi: R,
     depth: &'a mut [f32],
     voxel: &'a mut [[i32; 4]],
-    /// Slopes at the center segment's ends.
+    /// What stays between these slopes shows nothing outside the center segment.
     s_center: [R; 2],
     /// Of walks over ground: whether the walk has gone over to the general way; the height of the ground's underside; and,
     /// below a foot that showed, the open samples `gap`, none where equal, with the slope at their upper end.
     general: bool,
     foot: R,
-    /// A slope that sight lines of the window's first sample are above: what does not reach it draws nothing.
-    s_next: R,
     gap: [i32; 2],
     s_gap: R,
     /// Level and column of the run being drawn.
@@ -434,7 +433,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             voxel,
             general: !GROUND,
             foot: R::ZERO,
-            s_next: R::ZERO,
             gap: [0; 2],
             s_gap: R::ZERO,
             level: 0,
@@ -443,9 +441,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         };
         walk.foot = walk.height(0);
         walk.look();
-        walk.s_lo = walk.edge_slope(walk.lo);
-        walk.s_next = walk.next_slope();
-        walk.s_hi = walk.edge_slope(walk.hi);
+        walk.s_lo = walk.below(walk.lo);
+        walk.s_hi = walk.above(walk.hi);
         walk
     }
 
@@ -471,11 +468,32 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         self.slope_at(R::from_i32(j))
     }
 
-    /// Slope of a sight line a sixteenth of a sample below the centre of the window's first: far more than rounding takes,
-    /// so that what stays below draws nothing.
+    /// Slope of a sight line a sixteenth of a sample below the centre of sample `j`: far more than rounding takes, so that
+    /// what stays below shows in none from `j` on.
     #[inline(always)]
-    fn next_slope(&self) -> R {
-        self.slope_at(R::from_i32(self.lo) + R::BELOW_CENTRE)
+    fn below(&self, j: i32) -> R {
+        self.slope_at(R::from_i32(j) + R::BELOW_CENTRE)
+    }
+
+    /// Slope of a sight line as far above the centre of the sample before `j`: what stays above shows in none before `j`.
+    #[inline(always)]
+    fn above(&self, j: i32) -> R {
+        self.slope_at(R::from_i32(j) - R::BELOW_CENTRE)
+    }
+
+    /// `s_lo`, read by itself as it was written: a compiler would load it as a part of a vector, which waits until the write
+    /// has reached the cache.
+    #[inline(always)]
+    fn low_slope(&self) -> R {
+        // SAFETY: a reference to a number that is there.
+        unsafe { std::ptr::read_volatile(&self.s_lo) }
+    }
+
+    /// `s_hi` likewise.
+    #[inline(always)]
+    fn high_slope(&self) -> R {
+        // SAFETY: a reference to a number that is there.
+        unsafe { std::ptr::read_volatile(&self.s_hi) }
     }
 
     /// Slope of the sight line at place `u`.
@@ -492,12 +510,18 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         R::from_i32(y as i32 - self.eye_y) - self.fract_y
     }
 
-    /// The heights that may show between `t0` and `t1`.
+    /// What does not reach above this height shows nowhere between `t0` and `t1`.
     #[inline(always)]
-    fn visible(&self, t0: R, t1: R) -> (R, R) {
-        let lo = self.s_lo * if self.s_lo > R::ZERO { t0 } else { t1 };
-        let hi = self.s_hi * if self.s_hi > R::ZERO { t1 } else { t0 };
-        (lo, hi)
+    fn lowest(&self, t0: R, t1: R) -> R {
+        let slope = self.low_slope();
+        slope * if slope > R::ZERO { t0 } else { t1 }
+    }
+
+    /// Nor does what does not reach below this one.
+    #[inline(always)]
+    fn highest(&self, t0: R, t1: R) -> R {
+        let slope = self.high_slope();
+        slope * if slope > R::ZERO { t1 } else { t0 }
     }
 
     /// Heights as whole voxels, rounded outwards.
@@ -507,32 +531,23 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         (floor(lo), floor(hi).saturating_add(1))
     }
 
-    /// For each point `(t, h)` the first sample of the open window whose centre is at or above it. Points beyond the window's
-    /// ends are clipped by their slope: whatever their quotient, which may lie behind the camera, it is not used. Four points
-    /// at once, since a vector's division costs what one costs.
+    /// For a point `(t, h)` above the slope `s_lo`, the first sample of the open window whose centre is at or above it. A point
+    /// beyond the window's upper end is clipped by its slope: whatever its quotient, which may lie behind the camera, it is
+    /// not used.
     #[inline(always)]
-    fn samples(&self, t: [R; 4], h: [R; 4]) -> [i32; 4] {
+    fn sample_above(&self, t: R, h: R) -> i32 {
         let (lo, hi) = (self.lo, self.hi);
-        let mut j = [0; 4];
-        for i in 0..4 {
-            // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
-            let u = (self.a * t[i] + self.b * h[i]) / (self.c * t[i] + self.e * h[i]) + R::HALF;
-            let whole = u.truncate(self.limit);
-            let inside = (whole - i32::from(R::from_i32(whole) == u)).max(lo).min(hi);
-            let inside = if h[i] >= self.s_hi * t[i] { hi } else { inside };
-            j[i] = if h[i] <= self.s_lo * t[i] { lo } else { inside };
-        }
-        j
-    }
-
-    /// The same for one point whose slope is above that of the window's lower end.
-    #[inline(always)]
-    fn sample(&self, t: R, h: R) -> i32 {
-        let (lo, hi) = (self.lo, self.hi);
+        // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
         let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
         let whole = u.truncate(self.limit);
         let inside = (whole - i32::from(R::from_i32(whole) == u)).max(lo).min(hi);
-        if h >= self.s_hi * t { hi } else { inside }
+        if h >= self.high_slope() * t { hi } else { inside }
+    }
+
+    /// The same for any point.
+    #[inline(always)]
+    fn sample(&self, t: R, h: R) -> i32 {
+        if h <= self.low_slope() * t { self.lo } else { self.sample_above(t, h) }
     }
 
     #[inline(always)]
@@ -549,6 +564,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         let inverse = plane.dir.map(|d| R::from_f64(if d == 0.0 { f64::from(f32::MAX) } else { 1.0 / d }));
         let fract = [R::from_f64(setup.eye_fract[0]), R::from_f64(setup.eye_fract[2])];
         let eye = [setup.eye_cell[0], setup.eye_cell[2]];
+        // Where the plane runs along an axis, nothing that could make the distance to its lines 0.
+        let within = [0, 1].map(|axis| if plane.dir[axis] == 0.0 { R::ZERO } else { fract[axis] });
         let step = plane.dir.map(|d| if d < 0.0 { -1 } else { 1 });
         let ahead = step.map(|s| i32::from(s > 0));
         // Where the plane crosses the grid line at cell number `line` of level 0; never, if it runs along it.
@@ -591,7 +608,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                 }
                 // Nothing left can come into the window.
                 if (FAST || self.culling.coarse)
-                    && ((self.low_slope() > R::ZERO && self.low_slope() * t0 >= top && self.gap_is_shut(t0))
+                    && ((self.s_lo > R::ZERO && self.s_lo * t0 >= top && self.gap_is_shut(t0))
                         || (self.s_hi < R::ZERO && self.s_hi * t0 <= bottom))
                 {
                     return;
@@ -636,10 +653,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                 let exit = [cross(0, stop_line(0)), cross(1, stop_line(1))];
                 let t_exit = exit[0].min(exit[1]);
                 if FAST || self.culling.coarse {
-                    let (mut lo, hi) = self.visible(t0, t_exit.min(limit));
-                    if GROUND && !self.general {
-                        lo = self.s_next * if self.s_next > R::ZERO { t0 } else { t_exit.min(limit) };
-                    }
+                    let t1 = t_exit.min(limit);
+                    let (lo, hi) = (self.lowest(t0, t1), self.highest(t0, t1));
                     if bounds.0 == EMPTY
                         || (self.height(bounds.end() << l) <= lo && self.gap_is_shut(t0))
                         || self.height(u32::from(bounds.first()) << l) >= hi
@@ -698,8 +713,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                             let height = u32::from(heights[index as usize]);
                             let top = self.height(height << l);
                             visited += 1;
-                            if top > self.s_next * if self.s_next > R::ZERO { t0 } else { t1 } || !self.gap_is_shut(t0)
-                            {
+                            if top > self.s_lo * if self.s_lo > R::ZERO { t0 } else { t1 } || !self.gap_is_shut(t0) {
                                 self.cell = [x, z];
                                 self.ground(level, l, index as usize, height, top, t0, t1);
                                 if self.closed() {
@@ -727,11 +741,19 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                     cell = [x, z];
                     continue;
                 }
+                // Both lines ahead, from the eye, and both crossings anew at each step: that is less than to choose between them.
+                let from_eye = |axis: usize, at: i32| ((at + ahead[axis]) << l).wrapping_sub(eye[axis]);
+                let (mut line_x, mut line_z) = (from_eye(0, x), from_eye(1, z));
+                let (stop_x, stop_z) = (from_eye(0, stop[0]), from_eye(1, stop[1]));
+                let (step_x, step_z) = (step[0] << l, step[1] << l);
+                let cell_of = |axis: usize, line: i32| (line.wrapping_add(eye[axis]) >> l) - ahead[axis];
                 loop {
                     let along_z = next_z < next_x;
-                    let t1 = if along_z { next_z } else { next_x }.min(limit);
+                    let t1 = next_x.min(next_z).min(limit);
                     if t1 > t0 {
-                        self.cell = [x, z];
+                        if VOXEL {
+                            self.cell = [cell_of(0, line_x), cell_of(1, line_z)];
+                        }
                         self.column(level, l, index as usize, t0, t1);
                         t0 = t1;
                         if self.closed() {
@@ -741,20 +763,17 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                     if t0 >= limit {
                         break;
                     }
-                    x += if along_z { 0 } else { step[0] };
-                    z += if along_z { step[1] } else { 0 };
-                    if x == stop[0] || z == stop[1] {
+                    let z_only = -i32::from(along_z);
+                    line_x = line_x.wrapping_add(step_x & !z_only);
+                    line_z = line_z.wrapping_add(step_z & z_only);
+                    if line_x == stop_x || line_z == stop_z {
                         break;
                     }
                     index += if along_z { steps[1] } else { steps[0] };
-                    let line = if along_z { (z + ahead[1]) << l } else { (x + ahead[0]) << l };
-                    let (eye, fract) = if along_z { (eye[1], fract[1]) } else { (eye[0], fract[0]) };
-                    // As `cross` has it: along an axis that the plane never crosses there is no step.
-                    let at =
-                        (R::from_i32(line.wrapping_sub(eye)) - fract) * if along_z { inverse[1] } else { inverse[0] };
-                    next_x = if along_z { next_x } else { at };
-                    next_z = if along_z { at } else { next_z };
+                    next_x = (R::from_i32(line_x) - within[0]) * inverse[0];
+                    next_z = (R::from_i32(line_z) - within[1]) * inverse[1];
                 }
+                (x, z) = (cell_of(0, line_x), cell_of(1, line_z));
                 cell = [x, z];
             }
             l += 1;
@@ -804,12 +823,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         self.column(level, l, column, t0, t1);
     }
 
-    /// The slope that what is to be drawn must reach.
-    #[inline(always)]
-    fn low_slope(&self) -> R {
-        if GROUND && !self.general { self.s_next } else { self.s_lo }
-    }
-
     /// Of a walk over ground, whether no foot from `t0` on reaches into the gap.
     #[inline(always)]
     fn gap_is_shut(&self, t0: R) -> bool {
@@ -825,9 +838,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         }
         let h0 = self.foot;
         let (lo, hi) = (self.lo, self.hi);
-        let j0 = if h0 <= self.s_next * t0 { lo } else { self.sample(t0, h0) };
-        // The top is above `s_next`, or the walk goes on in the general way.
-        let j1 = self.sample(if h1 <= R::ZERO { t1 } else { t0 }, h1);
+        let j0 = self.sample(t0, h0);
+        // The top is above `s_lo`, or the walk goes on in the general way.
+        let j1 = self.sample_above(if h1 <= R::ZERO { t1 } else { t0 }, h1);
         let no_gap = self.gap[0] == self.gap[1];
         if !self.gap_is_shut(t0) || (j0 < j1 && ((j0 > lo && (!no_gap || j1 == hi)) || (!no_gap && j1 == hi))) {
             self.generalize();
@@ -839,53 +852,71 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         }
         self.counters.runs_visited += 1;
         self.counters.spans_drawn += 1;
-        let front = if h1 <= self.s_next * t0 { lo } else { self.sample(t0, h1) };
-        let f1 = if h1 < R::ZERO { front.max(j0).min(j1) } else { j1 };
+        let f1 = if h1 < R::ZERO { self.sample(t0, h1).max(j0).min(j1) } else { j1 };
         if j0 > lo {
             self.gap = [lo, j0];
             self.s_gap = self.edge_slope(j0);
         }
         self.emit_ground(level, l, column, height, [h0, h1, t0], [j0, f1, j1].map(|j| j as usize));
         self.lo = j1;
-        self.s_next = self.next_slope();
+        self.s_lo = self.below(j1);
     }
 
     /// Writes a column of ground: its front to samples `j0 .. f1`, its top to `f1 .. j1`, as [`Walk::emit`] would.
     #[inline(always)]
-    fn emit_ground(&mut self, level: &ResidentLevel, l: u32, column: usize, height: u32, at: [R; 3], to: [usize; 3]) {
+    fn emit_ground(
+        &mut self,
+        level: &'a ResidentLevel,
+        l: u32,
+        column: usize,
+        height: u32,
+        at: [R; 3],
+        to: [usize; 3],
+    ) {
         let ([h0, h1, t0], [j0, f1, j1]) = (at, to);
         let [x, z] = self.cell;
         let top = height - 1;
         // How far above the foot each sight line meets the front, in voxels of level 0.
         let highest = R::from_i32((height << l) as i32 - 1);
         let y = |slope: R| ((slope * t0 - h0).truncate(highest) as u32) >> l;
-        if j1 - j0 <= LANES && j0 + LANES <= self.hi as usize {
-            // Short spans, as most are, without loops whose ends nobody can foretell: what is written beyond the span is not
-            // drawn yet, and will be.
+        // The column's own colours, of its topmost voxels last, of voxel 0 first.
+        let own =
+            |colors: &'a [u32]| &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
+        let color_of_top = || match &level.paint {
+            Paint::Voxel { colors, .. } => colors[level.column_colors[column + 1] as usize - 1],
+            paint => paint.color(column, 0, top),
+        };
+        if f1 - j0 <= LANES && j1 - f1 <= LANES && f1 + LANES <= self.hi as usize {
+            // As [`Walk::emit_short`] does.
             let lanes = j0..j0 + LANES;
-            let Sight { depth_t, slope, depth_h } = &*self.sight;
-            let (depth_t, slope, depth_h) = (&depth_t[lanes.clone()], &slope[lanes.clone()], &depth_h[lanes.clone()]);
-            let (n, up) = (f1 - j0, h1.abs());
-            let mut ys = [top; LANES];
-            for (i, (at, &slope)) in ys.iter_mut().zip(slope).enumerate() {
-                *at = if i < n { y(slope) } else { top };
-            }
-            for (i, z) in self.depth[lanes.clone()].iter_mut().enumerate() {
-                *z = if i < n { t0 * depth_t[i] } else { up * depth_h[i] }.to_f32();
-            }
-            let color = &mut self.color[lanes.clone()];
-            if let Paint::Voxel { colors, .. } = &level.paint {
-                let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
-                let hidden = height - own.len() as u32;
-                for (c, y) in color.iter_mut().zip(ys) {
-                    *c = own[y.saturating_sub(hidden) as usize];
+            if j0 < f1 {
+                self.depth[lanes.clone()].copy_from_slice(&scaled(t0, &self.sight.depth_t[lanes.clone()]));
+                let mut ys = [0; LANES];
+                for (at, &slope) in ys.iter_mut().zip(&self.sight.slope[lanes.clone()]) {
+                    *at = y(slope);
                 }
-            } else {
-                color.fill(level.paint.color(column, 0, top));
+                let color = &mut self.color[lanes.clone()];
+                if let Paint::Voxel { colors, .. } = &level.paint {
+                    let own = own(colors);
+                    let hidden = height - own.len() as u32;
+                    for (c, y) in color.iter_mut().zip(ys) {
+                        *c = own[y.saturating_sub(hidden) as usize];
+                    }
+                } else {
+                    color.fill(color_of_top());
+                }
+                if VOXEL {
+                    for (v, y) in self.voxel[lanes].iter_mut().zip(ys) {
+                        *v = [x, y as i32, z, l as i32];
+                    }
+                }
             }
-            if VOXEL {
-                for (v, y) in self.voxel[lanes].iter_mut().zip(ys) {
-                    *v = [x, y as i32, z, l as i32];
+            let lanes = f1..f1 + LANES;
+            if f1 < j1 {
+                self.depth[lanes.clone()].copy_from_slice(&scaled(h1.abs(), &self.sight.depth_h[lanes.clone()]));
+                self.color[lanes.clone()].fill(color_of_top());
+                if VOXEL {
+                    self.voxel[lanes].fill([x, top as i32, z, l as i32]);
                 }
             }
             return;
@@ -895,15 +926,14 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         let depth = &mut self.depth[j0..j1];
         let n = f1 - j0;
         if let Paint::Voxel { colors, .. } = &level.paint {
-            // The column's own colours, of its topmost voxels last, of voxel 0 first.
-            let own = &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
+            let own = own(colors);
             let hidden = height as usize - own.len();
             for (c, &s) in color[..n].iter_mut().zip(slope) {
                 *c = own[(y(s) as usize).saturating_sub(hidden)];
             }
-            color[n..].fill(own[own.len() - 1]);
+            color[n..].fill(color_of_top());
         } else {
-            color.fill(level.paint.color(column, 0, top));
+            color.fill(color_of_top());
         }
         for (z, &s) in depth[..n].iter_mut().zip(depth_t) {
             *z = (t0 * s).to_f32();
@@ -925,7 +955,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
     #[inline(never)]
     fn generalize(&mut self) {
         self.general = true;
-        self.s_lo = self.edge_slope(self.lo);
         let [from, to] = self.gap;
         if from == to {
             return;
@@ -936,8 +965,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             self.open[w] &= !filled;
         }
         (self.hull, self.center) = ([to, self.lo], [to, self.lo]);
-        self.s_center = [self.s_gap, self.s_lo];
-        (self.lo, self.s_lo) = (from, self.edge_slope(from));
+        self.s_center = [self.above(to), self.s_lo];
+        (self.lo, self.s_lo) = (from, self.below(from));
     }
 
     /// Looks at one column between `t0` and `t1`.
@@ -945,161 +974,267 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
     fn column(&mut self, level: &'a ResidentLevel, l: u32, column: usize, t0: R, t1: R) {
         self.counters.columns_visited += 1;
         let [top, more] = level.entry(column);
-        let (lo, hi) = self.visible(t0, t1);
         let top = Run(top);
-        if self.height(top.end() << l) <= lo || top.0 == EMPTY {
+        let h1 = self.height(top.end() << l);
+        if h1 <= self.lowest(t0, t1) || top.0 == EMPTY {
             return;
         }
-        self.runs(level, l, column, top, more, t0, t1, lo, hi);
+        if more != 0 {
+            self.runs(level, l, column, top, more as usize, t0, t1);
+            return;
+        }
+        self.counters.runs_visited += 1;
+        let h0 = self.height(u32::from(top.first()) << l);
+        if h0 < self.highest(t0, t1) {
+            let drawn = Drawn { run: top, k: 0, column, h0, h1, t0 };
+            if h0 > R::ZERO {
+                self.draw::<true>(level, l, t1, drawn);
+            } else {
+                self.draw::<false>(level, l, t1, drawn);
+            }
+        }
     }
 
-    /// Draws the runs of one column that may show between heights `lo` and `hi`: nearest to the eye's height first, since
-    /// that is the order in which sight lines meet them. Down from the eye, then up from it.
+    /// Draws the runs of one column of several: nearest to the eye's height first, since that is the order in which sight
+    /// lines meet them. Down from the eye, then up from it.
     #[expect(clippy::too_many_arguments, reason = "what `column` knows already")]
     #[inline(always)]
-    fn runs(
-        &mut self,
-        level: &'a ResidentLevel,
-        l: u32,
-        column: usize,
-        top: Run,
-        more: u32,
-        t0: R,
-        t1: R,
-        lo: R,
-        hi: R,
-    ) {
-        let rest: &[u32] = match more as usize {
-            0 => &[],
-            at => &level.runs()[at + 1..at + 1 + level.runs()[at] as usize],
-        };
-        // The window's heights as whole voxels, rounded outwards.
-        let eye = self.eye_y;
-        let (mut below, mut above) = if more == 0 {
-            // One run, whose top is known to be in the window.
-            (i32::MIN, if self.height(u32::from(top.first()) << l) < hi { i32::MAX } else { i32::MIN })
-        } else {
-            self.whole(lo, hi)
-        };
+    fn runs(&mut self, level: &'a ResidentLevel, l: u32, column: usize, top: Run, more: usize, t0: R, t1: R) {
+        let rest = &level.runs()[more + 1..more + 1 + level.runs()[more] as usize];
         let n = rest.len() + 1;
         let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
         let first = |run: Run| (u32::from(run.first()) << l) as i32;
-        let end = |run: Run| (run.end() << l) as i32;
+        let eye = self.eye_y;
+        let (mut lo, mut hi) = (self.lowest(t0, t1), self.highest(t0, t1));
+        // Of many runs, binary search for those that the window holds.
+        const MANY: usize = 8;
         // How many runs, from the top down, start at `y` or above.
         let starting = |y: i32| if first(top) < y { 0 } else { 1 + rest.partition_point(|&r| first(Run(r)) >= y) };
-        // From the eye outwards: first the runs that do not start above it, downwards, then those above, upwards.
-        let (mut over, mut k) = (0, 0);
-        if n > 8 {
-            // Of many runs, binary search for the first that the window holds.
-            over = starting(eye + 1);
-            k = over.max(starting(above));
+        // Those from `over` on do not start above the eye.
+        let mut over = 0;
+        if n > MANY {
+            over = starting(eye.saturating_add(1));
         } else {
             while over < n && first(run(over)) > eye {
                 over += 1;
             }
-            k = k.max(over);
         }
-        let mut step = 1;
-        loop {
-            if k >= n {
-                // Past the lowest run; or, upwards, past the highest: there `k` has wrapped round.
-                if step < 0 || over == 0 {
-                    return;
-                }
-                step = -1;
-                k = if n > 8 { over.min(1 + rest.partition_point(|&r| end(Run(r)) > below)) } else { over };
-                k = k.wrapping_sub(1);
-                continue;
-            }
+        let mut k = over;
+        if n > MANY {
+            k = k.max(starting(self.whole(lo, hi).1));
+        }
+        while k < n {
             self.counters.runs_visited += 1;
             let run = run(k);
-            if end(run) <= below {
-                if step > 0 {
-                    k = n;
-                    continue;
-                }
-            } else if first(run) >= above {
-                if step < 0 {
-                    return;
-                }
-            } else if self.draw_run(level, l, column, run, k as u32, t0, t1) {
+            let h1 = self.height(run.end() << l);
+            if h1 <= lo {
+                break;
+            }
+            let h0 = self.height(u32::from(run.first()) << l);
+            if h0 < hi && self.draw::<false>(level, l, t1, Drawn { run, k: k as u32, column, h0, h1, t0 }) {
                 if self.closed() {
                     return;
                 }
-                if n > 1 {
-                    let (lo, hi) = self.visible(t0, t1);
-                    (below, above) = self.whole(lo, hi);
-                }
+                lo = self.lowest(t0, t1);
             }
-            k = k.wrapping_add_signed(step);
+            k += 1;
         }
-    }
-
-    /// Draws run number `k` of a column, unless it lies in the center segment; whether it did.
-    #[expect(clippy::too_many_arguments, reason = "what `runs` knows already")]
-    #[inline(always)]
-    fn draw_run(&mut self, level: &'a ResidentLevel, l: u32, column: usize, run: Run, k: u32, t0: R, t1: R) -> bool {
-        let (h0, h1) = (self.height(u32::from(run.first()) << l), self.height(run.end() << l));
-        // Slopes of the run's ends: its highest and its lowest place in the window.
-        let inside = (FAST || self.culling.center)
-            && self.center[1] > self.center[0]
-            && h1 <= self.s_center[1] * if h1 < R::ZERO { t1 } else { t0 }
-            && h0 >= self.s_center[0] * if h0 > R::ZERO { t1 } else { t0 };
-        if !inside {
-            self.draw(level, l, t1, Drawn { run, k, column, h0, h1, t0 });
-        }
-        !inside
-    }
-
-    #[inline(always)]
-    fn draw(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) {
-        let Drawn { h0, h1, t0, .. } = d;
-        // At the eye's own height any distance has slope 0, but for 0, where an eye on a run's face would see nothing of it.
-        let (t_foot, t_top) = (if h0 >= R::ZERO { t1 } else { t0 }, if h1 <= R::ZERO { t1 } else { t0 });
-        let [j0, j1, f0, f1] = self.samples([t_foot, t_top, t0, t0], [h0, h1, h0, h1]);
-        if j0 >= j1 {
+        if over == 0 {
             return;
         }
+        hi = self.highest(t0, t1);
+        let mut k = over;
+        if n > MANY {
+            let below = self.whole(lo, hi).0;
+            k = k.min(1 + rest.partition_point(|&r| (Run(r).end() << l) as i32 > below));
+        }
+        while k > 0 {
+            k -= 1;
+            self.counters.runs_visited += 1;
+            let run = run(k);
+            let h0 = self.height(u32::from(run.first()) << l);
+            if h0 >= hi {
+                break;
+            }
+            let h1 = self.height(run.end() << l);
+            if h1 > lo && self.draw::<true>(level, l, t1, Drawn { run, k: k as u32, column, h0, h1, t0 }) {
+                if self.closed() {
+                    return;
+                }
+                hi = self.highest(t0, t1);
+            }
+        }
+    }
+
+    /// Draws a run that starts above the eye (`UP`) or does not, and whose heights the window holds, unless it lies in the
+    /// center segment; whether it drew.
+    #[inline(always)]
+    fn draw<const UP: bool>(&mut self, level: &'a ResidentLevel, l: u32, t1: R, d: Drawn<R>) -> bool {
+        let Drawn { h0, h1, t0, .. } = d;
+        // Slopes of the run's ends: its highest and its lowest place in the window. Of what starts above the eye both are
+        // above it, and it shows no top; of what does not, no bottom.
+        if (FAST || self.culling.center)
+            && self.center[1] > self.center[0]
+            && h1 <= self.s_center[1] * if !UP && h1 < R::ZERO { t1 } else { t0 }
+            && h0 >= self.s_center[0] * if UP { t1 } else { t0 }
+        {
+            return false;
+        }
+        // At the eye's own height any distance has slope 0, but for 0, where an eye on a run's face would see nothing of it.
+        let (t_foot, t_top) = (if UP || h0 == R::ZERO { t1 } else { t0 }, if !UP && h1 <= R::ZERO { t1 } else { t0 });
+        let j0 = self.sample(t_foot, h0);
+        let j1 = self.sample_above(t_top, h1);
+        if j0 >= j1 {
+            return false;
+        }
         self.counters.spans_drawn += 1;
-        let f0 = if h0 > R::ZERO { f0.max(j0).min(j1) } else { j0 };
-        let f1 = if h1 < R::ZERO { f1.max(f0).min(j1) } else { j1 };
+        let f0 = if UP && h0 > R::ZERO { self.sample(t0, h0).max(j0).min(j1) } else { j0 };
+        let f1 = if !UP && h1 < R::ZERO { self.sample(t0, h1).max(j0).min(j1) } else { j1 };
         // The common case: a span at an end of the window, beyond all that was drawn within it, just moves the end.
         if FAST && (j1 <= self.hull[0] || j0 >= self.hull[1]) && (j0 == self.lo || j1 == self.hi) {
-            if j0 < f0 {
-                self.emit(level, l, Face::Bottom, d, j0 as usize, f0 as usize);
-            }
-            if f0 < f1 {
-                self.emit(level, l, Face::Front, d, f0 as usize, f1 as usize);
-            }
-            if f1 < j1 {
-                self.emit(level, l, Face::Top, d, f1 as usize, j1 as usize);
+            if !self.emit_short::<UP>(level, l, d, j0, if UP { f0 } else { f1 }, j1) {
+                self.emit_faces::<UP>(level, l, d, [j0, f0, f1, j1]);
             }
             if j0 == self.lo {
                 self.lo = j1;
                 if j1 == self.hull[0] {
                     self.lo = self.first_open(j1);
                 }
-                self.s_lo = self.edge_slope(self.lo);
+                self.s_lo = self.below(self.lo);
             } else {
                 self.hi = j0;
                 if j0 == self.hull[1] {
                     self.hi = self.last_open(j0) + 1;
                 }
-                self.s_hi = self.edge_slope(self.hi);
+                self.s_hi = self.above(self.hi);
             }
-            return;
+            return true;
         }
         self.hull = [self.hull[0].min(j0), self.hull[1].max(j1)];
-        if j0 < f0 {
+        if UP && j0 < f0 {
             self.fill(level, l, Face::Bottom, d, j0, f0);
         }
         if f0 < f1 {
             self.fill(level, l, Face::Front, d, f0, f1);
         }
-        if f1 < j1 {
+        if !UP && f1 < j1 {
             self.fill(level, l, Face::Top, d, f1, j1);
         }
         self.cull(j0, j1);
+        true
+    }
+
+    /// Writes a span at an end of the window whose faces have at most [`LANES`] samples each, in whole lanes: what is written
+    /// beyond the span is open, not drawn yet, and will be. So there are no loops whose ends nobody can foretell. Below
+    /// sample `turn` lies the front of a run that does not start above the eye, and its top from there on; of one that does
+    /// (`UP`), the bottom, and its front from there on. `false` where it did nothing, for want of room.
+    #[inline(always)]
+    fn emit_short<const UP: bool>(
+        &mut self,
+        level: &ResidentLevel,
+        l: u32,
+        d: Drawn<R>,
+        j0: i32,
+        turn: i32,
+        j1: i32,
+    ) -> bool {
+        const N: i32 = LANES as i32;
+        if turn - j0 > N || j1 - turn > N {
+            return false;
+        }
+        if j0 == self.lo {
+            if turn + N > self.hull[0].min(self.hi) {
+                return false;
+            }
+            if j0 < turn {
+                self.emit_lanes::<UP>(level, l, !UP, d, j0 as usize);
+            }
+            if turn < j1 {
+                self.emit_lanes::<UP>(level, l, UP, d, turn as usize);
+            }
+        } else {
+            if turn - N < self.hull[1].max(self.lo) {
+                return false;
+            }
+            if turn < j1 {
+                self.emit_lanes::<UP>(level, l, UP, d, (j1 - N) as usize);
+            }
+            if j0 < turn {
+                self.emit_lanes::<UP>(level, l, !UP, d, (turn - N) as usize);
+            }
+        }
+        true
+    }
+
+    /// Writes one face to [`LANES`] samples from `from` on: the front, or the bottom (`UP`) or top.
+    #[inline(always)]
+    fn emit_lanes<const UP: bool>(&mut self, level: &ResidentLevel, l: u32, front: bool, d: Drawn<R>, from: usize) {
+        let lanes = from..from + LANES;
+        let (first, last) = (u32::from(d.run.first()), u32::from(d.run.last()));
+        let Sight { depth_t, slope, depth_h } = &*self.sight;
+        if !front {
+            let (h, y) = if UP { (d.h0, first) } else { (d.h1, last) };
+            let up = h.abs();
+            self.depth[lanes.clone()].copy_from_slice(&scaled(up, &depth_h[lanes.clone()]));
+            if VOXEL {
+                self.voxel[lanes.clone()].fill([self.cell[0], y as i32, self.cell[1], l as i32]);
+            }
+            if COLOR {
+                self.color[lanes].fill(level.paint.color(d.column, d.k, y));
+            }
+            return;
+        }
+        self.depth[lanes.clone()].copy_from_slice(&scaled(d.t0, &depth_t[lanes.clone()]));
+        let voxel_paint = COLOR && matches!(level.paint, Paint::Voxel { .. });
+        let mut ys = [0; LANES];
+        if VOXEL || voxel_paint {
+            let highest = R::from_i32(((last - first + 1) << l) as i32 - 1);
+            for (y, &slope) in ys.iter_mut().zip(&slope[lanes.clone()]) {
+                *y = first + (((slope * d.t0 - d.h0).truncate(highest) as u32) >> l);
+            }
+        }
+        if VOXEL {
+            for (v, &y) in self.voxel[lanes.clone()].iter_mut().zip(&ys) {
+                *v = [self.cell[0], y as i32, self.cell[1], l as i32];
+            }
+        }
+        if !COLOR {
+            return;
+        }
+        let color = &mut self.color[lanes];
+        let Paint::Voxel { base, exposed, colors } = &level.paint else {
+            color.fill(level.paint.color(d.column, d.k, first));
+            return;
+        };
+        let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+        // Mostly all lie in one exposed run.
+        let mut paint = Exposed::default();
+        paint.find(exposed, if UP { first } else { last });
+        let own = &colors[paint.start as usize..(paint.start + paint.end - paint.first) as usize];
+        if ys.iter().all(|y| y.wrapping_sub(paint.first) < own.len() as u32) {
+            for (c, y) in color.iter_mut().zip(ys) {
+                *c = own[(y - paint.first) as usize];
+            }
+        } else {
+            for (c, y) in color.iter_mut().zip(ys) {
+                *c = colors[paint.find(exposed, y)];
+            }
+        }
+    }
+
+    /// Writes the faces of a span between samples `j0 <= f0 <= f1 <= j1`: bottom, front and top.
+    #[inline(always)]
+    fn emit_faces<const UP: bool>(&mut self, level: &ResidentLevel, l: u32, d: Drawn<R>, at: [i32; 4]) {
+        let [j0, f0, f1, j1] = at.map(|j| j as usize);
+        if UP && j0 < f0 {
+            self.emit(level, l, Face::Bottom, d, j0, f0);
+        }
+        if f0 < f1 {
+            self.emit(level, l, Face::Front, d, f0, f1);
+        }
+        if !UP && f1 < j1 {
+            self.emit(level, l, Face::Top, d, f1, j1);
+        }
     }
 
     /// Draws one face into the unfilled samples of `from .. to`.
@@ -1232,11 +1367,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         if FAST || self.culling.horizon {
             if j0 <= self.lo {
                 self.lo = self.first_open(j1);
-                self.s_lo = self.edge_slope(self.lo);
+                self.s_lo = self.below(self.lo);
             }
             if j1 >= self.hi && self.lo < self.hi {
                 self.hi = self.last_open(j0) + 1;
-                self.s_hi = self.edge_slope(self.hi);
+                self.s_hi = self.above(self.hi);
             }
         }
         if (FAST || self.culling.center) && j0 > self.lo && j1 < self.hi {
@@ -1244,7 +1379,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             let merged = if j0 <= to && j1 >= from && to > from { [from.min(j0), to.max(j1)] } else { [j0, j1] };
             if merged[1] - merged[0] > to - from {
                 self.center = merged;
-                self.s_center = merged.map(|j| self.edge_slope(j));
+                self.s_center = [self.above(merged[0]), self.below(merged[1])];
             }
         }
     }
@@ -1340,6 +1475,17 @@ impl Exposed {
         }
         (self.start + y - self.first) as usize
     }
+}
+
+/// `by` times each of [`LANES`] numbers. Through an array of its own: where they are written could be where they are read,
+/// as far as a compiler knows, and one after the other they would cost four times as much.
+#[inline(always)]
+fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
+    let mut scaled = [0.0; LANES];
+    for (z, &s) in scaled.iter_mut().zip(&lanes[..LANES]) {
+        *z = (by * s).to_f32();
+    }
+    scaled
 }
 
 /// The lowest `n` bits, 0 to 64.

@@ -160,6 +160,50 @@ pub fn rocks() -> World {
     })
 }
 
+/// A height of its own for each column.
+pub fn rough() -> World {
+    World::new("rough", MEDIUM, |x, y, z| y < 8 + hash(12, [x as i32, 0, z as i32]) % 24)
+}
+
+/// One voxel in six, without order, over a floor.
+pub fn noisy() -> World {
+    World::new("white noise", MEDIUM, |x, y, z| y == 0 || hash(13, [x as i32, y as i32, z as i32]).is_multiple_of(6))
+}
+
+/// Boxes of 2 to 25 voxels a side that stand, hang and meet over a floor.
+pub fn blocks() -> World {
+    World::new("boxes", MEDIUM, |x, y, z| {
+        let inside = |i: i32| {
+            (0..3).all(|axis| {
+                let from = (hash(9, [i, axis, 0]) % [120, 50, 120][axis as usize]) as i32;
+                let size = 2 + (hash(9, [i, axis, 1]) % 24) as i32;
+                (from..from + size).contains(&([x, y, z][axis as usize] as i32))
+            })
+        };
+        y < 3 || (0..40).any(inside)
+    })
+}
+
+/// Menger's sponge, four times divided.
+pub fn sponge() -> World {
+    World::new("sponge", [81; 3], |x, y, z| {
+        (0..4).all(|k| [x, y, z].iter().filter(|&&v| v / 3u32.pow(k) % 3 == 1).count() < 2)
+    })
+}
+
+/// A pole, a wall, a beam, a slab and 80 voxels, each by itself.
+pub fn single_things() -> World {
+    World::new("single things", MEDIUM, |x, y, z| {
+        let p = [x, y, z].map(|v| v as i32);
+        let voxel = |i: i32| p == [0, 1, 2].map(|axis| (hash(10, [i, axis, 0]) % [128, 64, 128][axis as usize]) as i32);
+        (x == 40 && z == 70 && y < 50)
+            || (x == 90 && (20..100).contains(&z) && y < 20)
+            || (y == 40 && z == 50 && (10..120).contains(&x))
+            || (y == 5 && (50..80).contains(&x) && (90..120).contains(&z))
+            || (0..80).any(voxel)
+    })
+}
+
 /// Every second voxel, so that no two share a face.
 pub fn checkerboard() -> World {
     World::new("checkerboard", [32, 16, 32], |x, y, z| (x + y + z) % 2 == 0)
@@ -310,6 +354,41 @@ pub fn poses(world: &World, size: [u32; 2]) -> Vec<Pose> {
     add("far", Kind::Far, middle + DVec3::new(0.3, 0.35 * far, far), [0.0, -19.0, 0.0]);
     add("far", Kind::Far, middle + DVec3::new(-0.8 * far, 0.5 * far, 0.2), [92.0, -31.0, 8.0]);
     poses
+}
+
+/// More of them, for a wide sweep: far off from each side with voxels of one and two pixels, and anywhere.
+pub fn wide_poses(world: &World, size: [u32; 2]) -> Vec<Pose> {
+    let mut list = poses(world, size);
+    let [nx, ny, nz] = world.dims().map(f64::from);
+    let middle = DVec3::new(nx, ny, nz) / 2.0;
+    let mut add = |name: &str, eye: DVec3, turn: [f64; 3]| {
+        let [yaw, pitch, roll] = turn;
+        let name = format!("{name}, yaw {yaw:.1} pitch {pitch:.1} roll {roll:.1}");
+        list.push(Pose { name, kind: Kind::Turned, camera: camera(eye, turn, size) });
+    };
+    // At depth `focal` a voxel is one pixel.
+    let focal = camera(middle, [0.0; 3], size).focal();
+    for (name, far) in [("2 px", 0.5 * focal), ("1 px", focal)] {
+        add(name, middle + DVec3::new(0.3, far, 0.2), [0.0, -90.0, 0.0]);
+        add(name, middle + DVec3::new(0.3, far, 0.2), [33.0, -90.0, 10.0]);
+        add(name, middle - DVec3::new(0.3, far, 0.2), [33.0, 90.0, 10.0]);
+        add(name, middle + DVec3::new(far, 0.1, 0.2), [270.0, 0.0, 30.0]);
+        add(name, middle + DVec3::new(0.6, 0.7, 0.4) * far, [-56.0, -44.0, 0.0]);
+        add(name, middle + DVec3::new(-0.6, 0.7, 0.4) * far, [56.0, -44.0, 45.0]);
+    }
+    let mut random = Random::new(21);
+    for _ in 0..12 {
+        let (eye, turn) = loop {
+            let place = [(-0.2, 1.2), (0.0, 1.6), (-0.2, 1.2)].map(|(from, to)| random.within(from, to));
+            let turn = [(0.0, 360.0), (-90.0, 60.0), (-180.0, 180.0)].map(|(from, to)| random.within(from, to));
+            let eye = DVec3::from_array(place) * DVec3::new(nx, ny, nz);
+            if !world.buries(eye) {
+                break (eye, turn);
+            }
+        };
+        add("anywhere", eye, turn);
+    }
+    list
 }
 
 /// All 32 combinations of culling switches.
