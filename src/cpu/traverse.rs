@@ -979,28 +979,18 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         if h1 <= self.lowest(t0, t1) || top.0 == EMPTY {
             return;
         }
-        if more != 0 {
-            self.runs(level, l, column, top, more as usize, t0, t1);
-            return;
-        }
-        self.counters.runs_visited += 1;
-        let h0 = self.height(u32::from(top.first()) << l);
-        if h0 < self.highest(t0, t1) {
-            let drawn = Drawn { run: top, k: 0, column, h0, h1, t0 };
-            if h0 > R::ZERO {
-                self.draw::<true>(level, l, t1, drawn);
-            } else {
-                self.draw::<false>(level, l, t1, drawn);
-            }
-        }
+        let rest: &[u32] = match more as usize {
+            0 => &[],
+            at => &level.runs()[at + 1..at + 1 + level.runs()[at] as usize],
+        };
+        self.runs(level, l, column, top, rest, t0, t1);
     }
 
-    /// Draws the runs of one column of several: nearest to the eye's height first, since that is the order in which sight
+    /// Draws the runs of one column, from the top down `top` and `rest`: nearest to the eye's height first, since that is the order in which sight
     /// lines meet them. Down from the eye, then up from it.
     #[expect(clippy::too_many_arguments, reason = "what `column` knows already")]
     #[inline(always)]
-    fn runs(&mut self, level: &'a ResidentLevel, l: u32, column: usize, top: Run, more: usize, t0: R, t1: R) {
-        let rest = &level.runs()[more + 1..more + 1 + level.runs()[more] as usize];
+    fn runs(&mut self, level: &'a ResidentLevel, l: u32, column: usize, top: Run, rest: &[u32], t0: R, t1: R) {
         let n = rest.len() + 1;
         let run = |k: usize| if k == 0 { top } else { Run(rest[k - 1]) };
         let first = |run: Run| (u32::from(run.first()) << l) as i32;
