@@ -173,9 +173,13 @@ fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Resul
         let stop = || {
             let watch = WATCH.lock().expect("nothing panics with it").upgrade();
             match watch {
-                // A second time, at once.
                 Some(watch) if !watch.stop.swap(true, Ordering::Relaxed) => {}
-                _ => guard::leave(130),
+                // A second time, at once.
+                Some(_) => guard::leave(1),
+                None => {
+                    eprintln!("planecast: interrupted; what it has finished stays");
+                    guard::leave(1);
+                }
             }
         };
         if let Err(e) = ctrlc::set_handler(stop) {
