@@ -1059,6 +1059,7 @@ fn ply_forms_give_the_same_mesh_and_damage_is_no_panic() {
     assert!(entries.iter().all(|(_, [_, g, b])| (*g, *b) == (20, 255)), "colours of corners that agree are kept");
 }
 
+#[cfg(feature = "mesh")]
 #[test]
 fn mesh_voxels_are_those_that_a_triangle_touches() {
     // Against a triangle sampled far more finely than voxels: each sample's voxel is solid, and each solid voxel is near
@@ -1082,6 +1083,7 @@ fn mesh_voxels_are_those_that_a_triangle_touches() {
     assert!(solid >= touched.len() as u64 && solid < touched.len() as u64 * 11 / 10, "{solid} {}", touched.len());
 }
 
+#[cfg(feature = "mesh")]
 #[test]
 fn mesh_formats_agree_and_pieces_are_cut_out_of_the_whole() {
     let obj = "v 0 0 0\nv 40 0 3\nv 5 33 300\nv 39 30 299\nf 1 2 3\nf 2 3 4\n";
