@@ -401,7 +401,7 @@ fn interrupts_leave_whole_files() {
     }
     // More than those that had not begun.
     assert!(interrupted > 3 && told > 0, "{interrupted} runs were interrupted, {told} said so");
-    // Between a passing file's making and its entry among those to remove there is a moment.
+    // Between the removal of passing files and a program's end there is a moment in which one can be made.
     assert!(passing <= 1, "{passing} passing files were left");
     // A film: what is there is whole frames, and the rest can follow.
     let film = "fly a.pcast -o film --tour --frames 30 --size 160x120 --device cpu";

@@ -30,18 +30,21 @@ use crate::{
 #[cfg(not(target_arch = "wasm32"))]
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
     let (target, folder) = check_target(path)?;
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".planecast-").suffix(".tmp");
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.tempfile_in(&folder).map_err(|e| Error::io(path, "create", e))?;
-    let _passing = Passing::new(file.path());
+    let mut passing = None;
+    let create = |temporary: &Path| {
+        // Before there is a file: between its making and a later word an end of the program would leave it.
+        passing = Some(Passing::new(temporary));
+        File::options().read(true).write(true).create_new(true).open(temporary)
+    };
+    let file = tempfile::Builder::new().prefix(".planecast-").suffix(".tmp").make_in(&folder, create);
+    let file = file.map_err(|e| Error::io(path, "create", e))?;
     let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
     write(&mut out)?;
     out.flush().map_err(|e| Error::io(path, "write", e))?;
     drop(out);
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     file.persist(&target).map_err(|e| Error::io(path, "create", e.error))?;
+    drop(passing);
     Ok(())
 }
 
