@@ -1,13 +1,13 @@
 //! Frame times over 24 yaws × 9 pitches from one place: the poses by which ports of Voxlap were timed.
 //!
-//! `cargo bench --bench views -- [SCENE [x,y,z]] [--threads N] [--lod PX] [--tiled VIEW] [--size WxH] [--fov D] [--retest]`.
+//! `cargo bench --bench views -- [SCENE [x,y,z]] [--threads N] [--lod PX] [--tiled VIEW] [--size WxH] [--fov D] [--retest | --refine]`.
 //! `SCENE` is a `.pcast`, an input or `procedural:…` (the default: a terrain of 1,024 columns a side). Prints per pitch the
 //! median, the 95th percentile and the greatest of setup + traverse + remap with colour, in milliseconds, traverse alone, and
 //! the work of a plane. Each frame is drawn three times and its least time counts, so that a stall of the machine does not.
 //! Not measured: shading and writing pictures.
 
 use glam::DVec3;
-use planecast::cpu::remap;
+use planecast::cpu::{refine, remap};
 use planecast::cpu::traverse::{Counters, PlaneBuffer, traverse};
 use planecast::plane_setup::plane_setup;
 use planecast::{Camera, Options, Repeat, Resident};
@@ -26,6 +26,7 @@ struct Args {
     fov: f64,
     size: [u32; 2],
     retest: bool,
+    refine: bool,
     options: Options,
 }
 
@@ -38,6 +39,7 @@ fn args() -> Args {
         fov: 2.0 * 0.75f64.atan().to_degrees(),
         size: [1024, 768],
         retest: false,
+        refine: false,
         options: Options { lod: None, ..Options::default() },
     };
     let numbers = |text: &str, by: char| -> Vec<f64> {
@@ -52,6 +54,7 @@ fn args() -> Args {
             "--lod" => args.options.lod = Some(numbers(&value(), ',')[0]),
             "--fov" => args.fov = numbers(&value(), ',')[0],
             "--retest" => args.retest = true,
+            "--refine" => (args.retest, args.refine) = (true, true),
             "--tiled" => {
                 args.options.repeat = Repeat { x: true, z: true };
                 args.options.view_distance = numbers(&value(), ',')[0];
@@ -93,6 +96,7 @@ fn main() {
 
     let n = (args.size[0] * args.size[1]) as usize;
     let (mut buffer, mut color, mut depth) = (PlaneBuffer::default(), vec![0; n], vec![0.0; n]);
+    let mut doubt = vec![refine::Doubt::NONE; n];
     let mut all = Vec::new();
     for pitch in PITCHES {
         let (mut times, mut walks) = (Vec::new(), Vec::new());
@@ -111,7 +115,10 @@ fn main() {
                     let counters = traverse::<f32>(&resident, &setup, args.options.culling, &mut buffer, retest);
                     walk = walk.min(at.elapsed().as_secs_f64() * 1e3);
                     if retest {
-                        remap::remap_retest(&resident, &setup, &buffer, &camera, &mut color, &mut depth, &mut []);
+                        let (color, depth) = (&mut color[..], &mut depth[..]);
+                        let doubt = if args.refine && setup.refines(&camera, &args.options) { &mut doubt[..] } else { &mut [] };
+                        remap::remap_retest(&resident, &setup, &buffer, &camera, color, depth, &mut [], doubt);
+                        refine::refine(&resident, &setup, &camera, doubt, color, depth, &mut []);
                     } else {
                         remap::remap(&setup, &buffer, args.size[0], &mut color, &mut depth);
                     }

@@ -333,7 +333,7 @@ pub struct DrawArgs {
     #[arg(long, value_name = "V", value_parser = positive)]
     equidistant: Option<f64>,
     /// How a pixel picks among the planes around it
-    #[arg(long, value_enum, value_name = "RULE", default_value = "retest")]
+    #[arg(long, value_enum, value_name = "RULE", default_value = "refine")]
     remap: RemapArg,
     /// Leave pixels that no plane reaches open
     #[arg(long)]
@@ -384,8 +384,12 @@ enum Spacing {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum RemapArg {
+    /// The nearest plane's sample
     Nearest,
+    /// The sample around whose voxel the pixel's own ray meets
     Retest,
+    /// The same; where samples disagree and no coarser level is drawn, a short walk of that ray
+    Refine,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -503,6 +507,7 @@ impl DrawArgs {
             remap: match self.remap {
                 RemapArg::Nearest => Remap::Nearest,
                 RemapArg::Retest => Remap::Retest,
+                RemapArg::Refine => Remap::Refine,
             },
             gap_fill: !self.no_gap_fill,
             shading: match self.shading {

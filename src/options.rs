@@ -54,6 +54,8 @@ pub enum Remap {
     Nearest,
     /// The one among the nearest whose voxel the pixel's own ray meets.
     Retest,
+    /// The same and, where no coarser level is drawn, what the pixel's own ray meets where its samples disagree.
+    Refine,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,7 +110,7 @@ impl Default for Options {
             samples: 1.0,
             culling: Culling::ALL,
             equidistant: None,
-            remap: Remap::Retest,
+            remap: Remap::Refine,
             gap_fill: true,
             f64_traversal: false,
             shading: Shading::Full,
@@ -144,7 +146,12 @@ impl Options {
         add(o.samples != usual.samples, format!("--samples {}%", o.samples * 100.0));
         add(o.culling != usual.culling, format!("--cull {}", culling_names(o.culling)));
         add(o.equidistant.is_some(), format!("--equidistant {}", o.equidistant.unwrap_or_default()));
-        add(o.remap == Remap::Nearest, "--remap nearest".into());
+        let remap = match o.remap {
+            Remap::Nearest => "nearest",
+            Remap::Retest => "retest",
+            Remap::Refine => "refine",
+        };
+        add(o.remap != usual.remap, format!("--remap {remap}"));
         add(!o.gap_fill, "--no-gap-fill".into());
         add(o.f64_traversal, "--f64".into());
         let shading = match o.shading {

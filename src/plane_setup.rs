@@ -254,7 +254,12 @@ impl Setup {
     /// Whether pixels test samples against their own rays: not where planes are pixel columns, whose samples are those rays,
     /// nor where holes are to be left open.
     pub fn retests(&self, camera: &Camera, options: &Options) -> bool {
-        options.remap == Remap::Retest && !self.is_pixel_columns(camera) && (!self.is_sparse() || options.gap_fill)
+        options.remap != Remap::Nearest && !self.is_pixel_columns(camera) && (!self.is_sparse() || options.gap_fill)
+    }
+
+    /// Whether pixels whose samples disagree walk their own rays: where they test samples, and all cells are voxels.
+    pub fn refines(&self, camera: &Camera, options: &Options) -> bool {
+        options.remap == Remap::Refine && self.retests(camera, options) && self.levels == 1
     }
 
     /// Whether each pixel column is a plane and each pixel its sample (a level, upright camera).

@@ -32,6 +32,6 @@ impl Preset {
             Preset::Best => (Planes::Factor(2.0), 0.5),
         };
         // `Remap::Nearest` saves little time and is wrong several times as often.
-        Options { planes, lod: Some(lod), remap: Remap::Retest, ..base }
+        Options { planes, lod: Some(lod), remap: Remap::Refine, ..base }
     }
 }

@@ -3,7 +3,7 @@
 use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
-use crate::cpu::{gap_fill, remap, shade, traverse};
+use crate::cpu::{gap_fill, refine, remap, shade, traverse};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
@@ -22,6 +22,7 @@ pub struct CpuRenderer<'a> {
     buffer: PlaneBuffer,
     color: Vec<u32>,
     index: Vec<u32>,
+    doubt: Vec<refine::Doubt>,
 }
 
 /// What is wanted beside colour and depth.
@@ -96,7 +97,8 @@ fn milliseconds(since: Instant) -> f64 {
 
 impl<'a> CpuRenderer<'a> {
     pub fn new(scene: &'a Scene, resident: &'a Resident) -> CpuRenderer<'a> {
-        CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color: Vec::new(), index: Vec::new() }
+        let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
+        CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color, index, doubt }
     }
 
     /// Draws one frame by forward projection in planes.
@@ -189,7 +191,11 @@ impl<'a> CpuRenderer<'a> {
         let sparse = setup.is_sparse();
         if retest {
             let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
-            remap::remap_retest(self.resident, setup, &self.buffer, camera, color, depth, voxel);
+            let doubts = if setup.refines(camera, options) { color.len() } else { 0 };
+            self.doubt.resize(doubts, refine::Doubt::NONE);
+            let doubt = &mut self.doubt;
+            remap::remap_retest(self.resident, setup, &self.buffer, camera, color, depth, voxel, doubt);
+            refine::refine(self.resident, setup, camera, doubt, color, depth, voxel);
             for v in voxel {
                 *v = world_voxel(setup, *v);
             }

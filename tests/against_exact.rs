@@ -15,6 +15,8 @@ use planecast_encoder::Columns;
 
 const SIZE: [u32; 2] = [300, 240];
 
+const REMAPS: [Remap; 3] = [Remap::Nearest, Remap::Retest, Remap::Refine];
+
 /// Least share of pixels with the same voxel, and of those with it within one pixel, in percent: what is promised of any
 /// world.
 fn bounds(kind: Kind) -> [f64; 2] {
@@ -152,8 +154,11 @@ fn retest_and_more_planes_come_nearer_to_exact() {
     for (name, options) in [
         ("nearest, half the planes", Options { planes: Planes::Factor(0.5), remap: Remap::Nearest, ..plain() }),
         ("nearest", Options { remap: Remap::Nearest, ..plain() }),
-        ("retest", plain()),
-        ("retest, twice the planes", Options { planes: Planes::Factor(2.0), ..plain() }),
+        ("retest", Options { remap: Remap::Retest, ..plain() }),
+        ("retest, twice the planes", Options { remap: Remap::Retest, planes: Planes::Factor(2.0), ..plain() }),
+        ("refine, half the planes", Options { planes: Planes::Factor(0.5), ..plain() }),
+        ("refine", plain()),
+        ("refine, twice the planes", Options { planes: Planes::Factor(2.0), ..plain() }),
     ] {
         let mut sum = Agreement::default();
         for world in &worlds {
@@ -385,9 +390,9 @@ fn closed_room_shows_no_sky() {
     for k in 0..800 {
         let camera = random_pose(&mut random, &room);
         let mut options = [plain(), Options { lod: Some(1.0), ..plain() }][k % 2];
-        options.remap = [Remap::Retest, Remap::Nearest][k / 2 % 2];
-        options.readjust = k / 4 % 2 == 1;
-        options.planes = [Planes::Auto, Planes::Auto, Planes::Factor(0.5), Planes::Factor(2.0)][k / 8 % 4];
+        options.remap = REMAPS[k / 2 % 3];
+        options.readjust = k / 6 % 2 == 1;
+        options.planes = [Planes::Auto, Planes::Auto, Planes::Factor(0.5), Planes::Factor(2.0)][k / 12 % 4];
         let frame = room.render(&camera, &options);
         let sky = frame.voxel.iter().filter(|v| v[3] < 0).count();
         assert_eq!(sky, 0, "pose {k}: pixels of sky, {camera:?} {options:?}");
@@ -477,7 +482,7 @@ fn wrong(world: &World, options: &Options) -> f64 {
 #[test]
 fn samples_that_are_few_show_fewer_of_the_voxels_of_exact() {
     let world = rocks();
-    for remap in [Remap::Nearest, Remap::Retest] {
+    for remap in REMAPS {
         let of = |samples: f64| wrong(&world, &Options { samples, remap, ..plain() });
         let [few, usual, three] = [0.4, 1.0, 3.0].map(of);
         println!("{remap:?}: 40 % {few:.2}, 100 % {usual:.2}, 300 % {three:.2} % of pixels");
@@ -485,7 +490,7 @@ fn samples_that_are_few_show_fewer_of_the_voxels_of_exact() {
         // Every third sample stands where a pixel's own does; the others are there to be looked at again.
         match remap {
             Remap::Nearest => assert!((usual - three).abs() < 0.02, "{usual} {three}"),
-            Remap::Retest => assert!(three < 1.1 * usual, "{usual} {three}"),
+            Remap::Retest | Remap::Refine => assert!(three < 1.1 * usual, "{usual} {three}"),
         }
     }
 }
@@ -509,7 +514,7 @@ fn samples_of_any_number_leave_no_pixel_open() {
             continue;
         }
         let samples = [0.02, 0.37, 0.99, 1.01, 1.6, 7.9][k % 6];
-        let remap = [Remap::Nearest, Remap::Retest][k / 6 % 2];
+        let remap = REMAPS[k / 6 % 3];
         let frame = world.render(&camera, &Options { samples, remap, ..plain() });
         assert_eq!(sane(&frame), Ok(()));
         let open = frame.depth.iter().filter(|d| d.is_infinite()).count();

@@ -6,6 +6,7 @@
 //! (Forstmann & Ohya 2009 §3.6, with the arrow turned round: they scatter textured lines, here pixels gather.)
 
 use crate::camera::Camera;
+use crate::cpu::refine::Doubt;
 use crate::cpu::traverse::{PlaneBuffer, Real, SKY, has_avx2};
 use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, crowd, vertical};
 use crate::resident::Resident;
@@ -334,7 +335,9 @@ impl Boxes {
 /// farther, since each voxel of the buffer is there. Where it meets none, it takes the sky if one of the two planes shows
 /// it, else the voxel of theirs that it misses less. Depth is where the pixel's own ray enters the voxel. (Not in the
 /// papers.) Needs [`PlaneBuffer::voxel`]; the voxel of each pixel goes to `voxel` unless that is empty, in the same form.
-/// Where planes have no colours they are looked up here, for the samples that are taken.
+/// Where planes have no colours they are looked up here, for the samples that are taken. `doubt`, unless empty, is for
+/// `refine`: pixels between whose samples something else may be seen.
+#[allow(clippy::too_many_arguments)]
 pub fn remap_retest(
     resident: &Resident,
     setup: &Setup,
@@ -343,6 +346,7 @@ pub fn remap_retest(
     color: &mut [u32],
     depth: &mut [f32],
     voxel: &mut [[i32; 4]],
+    doubt: &mut [Doubt],
 ) {
     let w = camera.width as usize;
     let avx2 = has_avx2();
@@ -353,12 +357,13 @@ pub fn remap_retest(
         planes.iter().all(|&plane| plane == [0, fan.n_samples])
     });
     let tasks = color.chunks_mut(ROWS_A_TASK * w).zip(depth.chunks_mut(ROWS_A_TASK * w));
-    let mut voxels = voxel.chunks_mut(ROWS_A_TASK * w);
-    let tasks: Vec<_> = tasks.map(|(c, d)| (c, d, voxels.next().unwrap_or_default())).collect();
-    tasks.into_par_iter().enumerate().for_each(|(task, (color, depth, voxel))| {
+    let (mut voxels, mut doubts) = (voxel.chunks_mut(ROWS_A_TASK * w), doubt.chunks_mut(ROWS_A_TASK * w));
+    let tasks = tasks.map(|(c, d)| (c, d, voxels.next().unwrap_or_default(), doubts.next().unwrap_or_default()));
+    let tasks: Vec<_> = tasks.collect();
+    tasks.into_par_iter().enumerate().for_each(|(task, (color, depth, voxel, doubt))| {
         let first_row = (task * ROWS_A_TASK) as u32;
         let rows = RowsTask { setup, buffer, first_row, width: camera.width, color, depth };
-        let task = RetestTask { rows, resident, camera, drawn: &drawn, whole, voxel };
+        let task = RetestTask { rows, resident, camera, drawn: &drawn, whole, voxel, doubt };
         #[cfg(target_arch = "x86_64")]
         if avx2 {
             // SAFETY: `has_avx2` has seen that the processor can.
@@ -379,6 +384,7 @@ struct RetestTask<'a> {
     /// Whether all planes of a fan are drawn from end to end.
     whole: [bool; 4],
     voxel: &'a mut [[i32; 4]],
+    doubt: &'a mut [Doubt],
 }
 
 /// The same code for processors with AVX2; the same bits.
@@ -408,9 +414,15 @@ struct Block {
     at: [[u32; BLOCK]; 2],
     inverse: [[f32; BLOCK]; 3],
     near: [[f32; BLOCK]; 2],
+    /// Least depth of the samples around a pixel whose two planes disagree, [`SETTLED`] elsewhere.
+    nearest: [f32; BLOCK],
     again: Again,
-    voxel: [[i32; BLOCK]; 4],
+    /// Of the two planes.
+    voxel: [[[i32; BLOCK]; 4]; 2],
 }
+
+/// Less than any depth.
+const SETTLED: f32 = -1.0;
 
 /// Those of a block's pixels whose rays do not meet both planes' voxels, and so look at the samples next to them.
 struct Again {
@@ -427,8 +439,9 @@ impl Block {
         at: [[0; BLOCK]; 2],
         inverse: [[0.0; BLOCK]; 3],
         near: [[0.0; BLOCK]; 2],
+        nearest: [SETTLED; BLOCK],
         again: Again { pixel: [0; BLOCK], at: [0; BLOCK], inverse: [[0.0; BLOCK]; 3], near: [0.0; BLOCK] },
-        voxel: [[0; BLOCK]; 4],
+        voxel: [[[0; BLOCK]; 4]; 2],
     };
 }
 
@@ -441,7 +454,9 @@ fn retest_rows(task: RetestTask<'_>) {
         drawn,
         whole,
         voxel,
+        doubt,
     } = task;
+    let doubts = !doubt.is_empty();
     let w = width as usize;
     let basis = camera.basis();
     let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
@@ -485,8 +500,8 @@ fn retest_rows(task: RetestTask<'_>) {
             };
             (*dx, *dy, *dz) = (inverse(start.x, step.x), inverse(start.y, step.y), inverse(start.z, step.z));
         }
-        for (at, near) in block.at.iter().zip(&mut block.near) {
-            boxes.enter_each(shown, &at[..m], &block.inverse, &mut block.voxel, near);
+        for ((at, near), voxel) in block.at.iter().zip(&mut block.near).zip(&mut block.voxel) {
+            boxes.enter_each(shown, &at[..m], &block.inverse, voxel, near);
         }
         let ([own, beside], [near, near_beside], again) = (&mut block.at, &mut block.near, &mut block.again);
         let mut n_again = 0;
@@ -496,6 +511,12 @@ fn retest_rows(task: RetestTask<'_>) {
             let sky = one == other && own[i] != beside[i] && all_sky(shown, own[i]) && all_sky(shown, beside[i]);
             again.pixel[n_again] = i as u8;
             n_again += usize::from((one == MISS || other == MISS) && !sky);
+        }
+        if doubts {
+            settle(&block.voxel, [&near[..m], &near_beside[..m]], &mut block.nearest);
+            for (i, nearest) in block.nearest[..m].iter_mut().enumerate().filter(|(_, n)| **n != SETTLED) {
+                *nearest = Real::min(depths[own[i] as usize], depths[beside[i] as usize]);
+            }
         }
         // Of voxels in both planes the nearer is what the ray sees: behind it the other lies inside the surface.
         for (((at, beside), z), near) in
@@ -515,10 +536,23 @@ fn retest_rows(task: RetestTask<'_>) {
                 let [first, end] = drawn[plane as usize];
                 *at = if (first..end).contains(&sample) { plane * n + sample } else { own[i] };
             }
-            boxes.enter_each(shown, &again.at[..n_again], &again.inverse, &mut block.voxel, &mut again.near);
+            boxes.enter_each(shown, &again.at[..n_again], &again.inverse, &mut block.voxel[0], &mut again.near);
             for ((&at, &z), &i) in again.at.iter().zip(&again.near).zip(&again.pixel[..n_again]) {
                 let i = usize::from(i);
                 (own[i], near[i]) = if z < near[i] { (at, z) } else { (own[i], near[i]) };
+            }
+            if doubts {
+                for (&at, &i) in again.at.iter().zip(&again.pixel[..n_again]) {
+                    let nearest = &mut block.nearest[usize::from(i)];
+                    *nearest = Real::min(*nearest, depths[at as usize]);
+                }
+            }
+        }
+        let out = r * w + part.from as usize..r * w + part.to as usize;
+        if doubts {
+            let nearest = block.nearest[..m].iter().zip(&near[..m]);
+            for (doubt, (&nearest, &near)) in doubt[out.clone()].iter_mut().zip(nearest) {
+                *doubt = Doubt::new(nearest, near != MISS);
             }
         }
         for (j, &i) in again.pixel[..n_again].iter().enumerate() {
@@ -529,7 +563,6 @@ fn retest_rows(task: RetestTask<'_>) {
                 near[i] = depths[own[i] as usize];
             }
         }
-        let out = r * w + part.from as usize..r * w + part.to as usize;
         depth[out.clone()].copy_from_slice(&near[..m]);
         let pixels = color[out.clone()].iter_mut().zip(&own[..m]);
         match colors {
@@ -551,6 +584,22 @@ fn retest_rows(task: RetestTask<'_>) {
                 *v = shown[at as usize];
             }
         }
+    }
+}
+
+/// Marks with [`SETTLED`] the pixels whose two planes leave no doubt: those that meet the same voxel in both, and those that
+/// meet one of two that share a face, between which there is nothing else to see.
+#[inline(always)]
+fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 2], nearest: &mut [f32; BLOCK]) {
+    for i in 0..near.len() {
+        let apart = |axis: usize| own[axis][i].wrapping_sub(beside[axis][i]).unsigned_abs();
+        let neighbours = (apart(0) | apart(1) | apart(2)) <= 1
+            && apart(0) + apart(1) + apart(2) <= 1
+            && own[3][i] == beside[3][i];
+        let (one, other) = (near[i], near_beside[i]);
+        // A ray enters one voxel at one depth.
+        let settled = Real::min(one, other) != MISS && (neighbours || one == other);
+        nearest[i] = if settled { SETTLED } else { MISS };
     }
 }
 

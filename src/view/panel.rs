@@ -9,7 +9,7 @@ use super::control::{Control, Mode};
 use super::drawer::Draws;
 use super::world::World;
 use crate::frame::{StageTimes, Stats};
-use crate::options::{Options, Planes, Shading};
+use crate::options::{Options, Planes, Remap, Shading};
 use crate::preset::Preset;
 use crate::{Feature, Kernel};
 
@@ -259,9 +259,12 @@ impl Panel {
         ui.collapsing("more switches", |ui| {
             ui.checkbox(&mut o.readjust, "readjusted spacing of planes");
             ui.add(egui::Slider::new(&mut o.samples, 0.25..=4.0).text("samples a pixel"));
-            let mut retest = o.remap == crate::Remap::Retest;
-            ui.checkbox(&mut retest, "remap retests");
-            o.remap = if retest { crate::Remap::Retest } else { crate::Remap::Nearest };
+            ui.horizontal(|ui| {
+                ui.label("remap:");
+                for (name, remap) in [("nearest", Remap::Nearest), ("retest", Remap::Retest), ("refine", Remap::Refine)] {
+                    ui.selectable_value(&mut o.remap, remap, name);
+                }
+            });
             ui.checkbox(&mut o.gap_fill, "gap fill");
             optional(ui, "equidistant beyond", &mut o.equidistant, 500.0);
             ui.horizontal_wrapped(|ui| {
