@@ -13,6 +13,7 @@
 @group(0) @binding(4) var<storage, read> plane_depth: array<u32>;
 @group(0) @binding(5) var<storage, read> plane_voxel: array<Voxel>;
 @group(0) @binding(6) var<storage, read_write> image_color: array<u32>;
+// With REFINE, behind the depths of all pixels their doubts (src/cpu/refine.rs).
 @group(0) @binding(7) var<storage, read_write> image_depth: array<u32>;
 @group(0) @binding(10) var<storage, read_write> image_voxel: array<vec4<i32>>;
 //!if INDEX
@@ -141,6 +142,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     var best = own;
     var near = near_own;
+//!if REFINE
+    // No doubt where it meets the same voxel in both, or one of two that share a face. A ray enters one voxel at one depth.
+    let apart = abs(voxel_of(own) - voxel_of(select(own, beside, both)));
+    let neighbours = max(max(apart.x, apart.y), apart.z) <= 1 && apart.x + apart.y + apart.z <= 1 && apart.w == 0;
+    let settled = (near_own != MISS || near_beside != MISS) && (neighbours || near_own == near_beside);
+    // Depths are not negative: their bits have their order.
+    var nearest = min(plane_depth[own], plane_depth[select(own, beside, both)]);
+//!endif
     // Of voxels in both planes the nearer is what the ray sees.
     if (near_beside != MISS && (near == MISS || near_beside < near)) {
         best = beside;
@@ -156,12 +165,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             }
             let at = buffer_index(place.fan, k, u32(sample));
             let depth = enter(voxel_of(at), inverse);
+//!if REFINE
+            nearest = min(nearest, plane_depth[at]);
+//!endif
             if (depth != MISS && (near == MISS || depth < near)) {
                 best = at;
                 near = depth;
             }
         }
     }
+//!if REFINE
+    let doubt = nearest | select(0u, 0x80000000u, near == MISS);
+    image_depth[frame.width * frame.height + i] = select(doubt, INFINITY, settled || nearest == INFINITY);
+//!endif
     if (near != MISS) {
         put(i, best, voxel_of(best), bitcast<u32>(near));
     } else {

@@ -237,3 +237,91 @@ impl<'a> Walk<'a> {
         Some((k as u32, y, depth))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exact::cast;
+    use crate::plane_setup::plane_setup;
+    use crate::{Features, Options, Repeat};
+    use glam::DVec3;
+    use planecast_encoder::{BuildOptions, Colors, Columns, Input, Scene, build};
+
+    fn scene(dims: [u32; 3], solid: impl Fn(u32, u32, u32) -> bool + Sync) -> Scene {
+        let columns = Columns::from_fn(dims[0], dims[1], dims[2], solid);
+        build(Input { columns, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap()
+    }
+
+    fn noise(x: u32, y: u32, z: u32) -> u32 {
+        let mut v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
+        v = (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D);
+        v ^ (v >> 13)
+    }
+
+    /// Rays from all over a world, of those that meet something how many there are and how many of them the walk settles
+    /// on the same voxel: from a doubt that is too near by up to two voxels, for what remap saw farther away.
+    fn settled(scene: &Scene, features: Features, repeats: bool, spoil: impl Fn(&mut Walk<'_>)) -> [u32; 2] {
+        let resident = Resident::with(scene, features);
+        let columns = &scene.levels[0].solid;
+        let dims = scene.dims().map(f64::from);
+        let options = Options { repeat: Repeat { x: repeats, z: repeats }, lod: None, ..Options::default() };
+        let (mut met, mut same) = (0, 0);
+        for k in 0..20_000 {
+            let random = |n: u32| f64::from(noise(k, n, 77)) / f64::from(u32::MAX);
+            let eye = DVec3::new(random(0) * dims[0], random(1) * 1.5 * dims[1], random(2) * dims[2]);
+            let dir = DVec3::new(random(3) - 0.5, random(4) - 0.7, random(5) - 0.5);
+            let Some(hit) = cast(columns, [repeats; 2], eye, dir, 200.0 / dir.x.hypot(dir.z)) else { continue };
+            if hit.t == 0.0 {
+                continue;
+            }
+            let camera = Camera { eye, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: 60.0, width: 4, height: 4 };
+            let setup = plane_setup(&resident, &camera, &options);
+            let mut walk = Walk::new(&resident, &setup);
+            spoil(&mut walk);
+            let ray = Ray::new(dir.to_array().map(|d| d as f32), f32::INFINITY);
+            let near = (hit.t as f32 - 2.0 * random(6) as f32 * ray.margin).max(0.0);
+            let found = walk.settle(&ray, Doubt::new(near, k % 2 == 0), hit.t as f32 * 1.5);
+            met += 1;
+            same += u32::from(found.is_some_and(|found| found.voxel[..3] == hit.voxel.map(|v| v as i32)));
+        }
+        [met, same]
+    }
+
+    /// Single voxels, long runs, columns of very many runs, heights.
+    fn scenes() -> [Scene; 4] {
+        [
+            scene([40, 30, 40], |x, y, z| noise(x, y, z) % 40 == 0),
+            scene([40, 60, 40], |x, y, z| noise(x, y / 9, z).is_multiple_of(5)),
+            scene([12, 3000, 12], |x, y, z| y % 4 == 0 && noise(x, 0, z) % 3 > 0),
+            scene([40, 30, 40], |x, y, z| y < 5 + noise(x, 0, z) % 9),
+        ]
+    }
+
+    #[test]
+    fn walks_settle_on_the_voxels_of_exact() {
+        for (i, scene) in scenes().iter().enumerate() {
+            for (features, repeats) in [(Features::ALL, false), (Features::NONE, true)] {
+                let [met, same] = settled(scene, features, repeats, |_| ());
+                println!("world {i}, repeats {repeats}: {same} of {met}");
+                // Rays that begin a walk within a voxel they have passed by, and roundings on edges.
+                assert!(met > 2000 && f64::from(same) >= 0.99 * f64::from(met), "world {i}: {same} of {met}");
+            }
+        }
+    }
+
+    #[test]
+    fn walks_beside_their_rays_do_not() {
+        for (i, scene) in scenes().iter().enumerate() {
+            let [met, same] = settled(scene, Features::ALL, false, |walk| walk.fract[0] += 0.1);
+            assert!(f64::from(same) < 0.97 * f64::from(met), "world {i}: {same} of {met}");
+        }
+    }
+
+    #[test]
+    fn doubts_say_how_near_and_whether_anything_was_met() {
+        assert_eq!(Doubt::new(f32::INFINITY, false), Doubt::NONE);
+        assert_eq!(Doubt::new(-1.0, true), Doubt::NONE);
+        assert_eq!(Doubt::new(3.0, true), Doubt(3.0));
+        assert_eq!(Doubt::new(0.0, false).0.to_bits(), (-0.0f32).to_bits());
+    }
+}

@@ -514,6 +514,7 @@ struct Plan {
     plane_voxel: bool,
     image_voxel: bool,
     retest: bool,
+    refine: bool,
     sparse: bool,
     gap_fill: bool,
     n_counters: u32,
@@ -552,6 +553,7 @@ impl Plan {
             plane_voxel: outputs.voxel || retest,
             image_voxel: outputs.voxel,
             retest,
+            refine: gpu.kernel != Kernel::Raycast && setup.refines(camera, options),
             sparse,
             gap_fill: options.gap_fill,
             n_counters: 0,
@@ -657,7 +659,7 @@ impl GpuRenderer<'_> {
             ("plane_depth", 4 * planes, U::STORAGE),
             ("plane_voxel", if plan.specialization.has(Feature::Packed) { 8 } else { 16 } * plane_voxel, U::STORAGE),
             ("image_color", 4 * pixels, U::STORAGE),
-            ("image_depth", 4 * pixels, U::STORAGE),
+            ("image_depth", if plan.refine { 8 } else { 4 } * pixels, U::STORAGE),
             ("image_voxel", 16 * image_voxel, U::STORAGE),
             ("shaded", 4 * pixels, U::STORAGE),
             ("index", 4 * index, U::STORAGE),
@@ -817,11 +819,21 @@ impl GpuRenderer<'_> {
             if plan.retest {
                 defines.push("RETEST");
             }
+            if plan.refine {
+                defines.push("REFINE");
+            }
             let on = f64::from(u8::from(!plan.specialization.has(Feature::Bounded)));
             let constants = [voxel, ("PAINT", f64::from(self.tables.paint)), ("REPEATS", on)];
             let pipeline = self.engine.pipeline("remap", &self.variant(&defines), &constants)?;
+            let refine = match plan.refine {
+                true => Some(self.engine.pipeline("refine", &self.variant(&plan.defines()), &constants)?),
+                false => None,
+            };
             let mut pass = self.pass(encoder, "remap", 1);
             self.dispatch(&mut pass, &pipeline, &[], grid);
+            if let Some(refine) = refine {
+                self.dispatch(&mut pass, &refine, &[], grid);
+            }
             return Ok(());
         }
         let index = self.engine.pipeline("remap", &self.variant(&["INDEX"]), &[voxel])?;

@@ -5,7 +5,7 @@
 //! its name that reads one element. Constants have their home in Rust and are written in front of every shader.
 
 use crate::cpu::remap::HOLE;
-use crate::cpu::shade;
+use crate::cpu::{refine, shade};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
 use crate::resident::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
@@ -25,10 +25,12 @@ const FILES: &[(&str, &str)] = files![
     "shared/sight.wgsl",
     "shared/place.wgsl",
     "shared/sample.wgsl",
+    "shared/ray.wgsl",
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
     "remap.wgsl",
+    "refine.wgsl",
     "gap_fill.wgsl",
     "shade.wgsl",
 ];
@@ -77,6 +79,8 @@ fn header() -> String {
     constant("PAINT_RUN", "1u".into());
     constant("PAINT_VOXEL", "2u".into());
     constant("PAINT_COLUMN", "3u".into());
+    constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
+    constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("AMBIENT", format!("{:?}f", shade::AMBIENT));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
@@ -188,7 +192,7 @@ mod tests {
         for pages in [one, many] {
             for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
                 for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS", "UNIFORM"]] {
-                    for remap in [&[][..], &["RETEST"], &["RETEST", "PACKED", "LATE_COLOR"], &["INDEX"], &["GATHER"]] {
+                    for remap in [&[][..], &["RETEST"], &["RETEST", "REFINE"], &["RETEST", "REFINE", "PACKED", "LATE_COLOR"], &["INDEX"], &["GATHER"]] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
                     }
                 }
@@ -197,7 +201,8 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 6] = ["traverse_invocation", "traverse_workgroup", "raycast", "remap", "gap_fill", "shade"];
+    const STAGES: [&str; 7] =
+        ["traverse_invocation", "traverse_workgroup", "raycast", "remap", "refine", "gap_fill", "shade"];
 
     #[test]
     fn shaders_are_valid_in_every_variant() {

@@ -312,9 +312,12 @@ fn remap_of_the_same_planes_takes_the_same_samples() {
     let world = rocks();
     let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(Kernel::Workgroup)).unwrap();
     let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+    let repeat = Repeat { x: true, z: true };
     for (name, options) in [
         ("nearest", Options { remap: Remap::Nearest, ..flat() }),
-        ("retest", flat()),
+        ("retest", Options { remap: Remap::Retest, ..flat() }),
+        ("refine", Options { lod: None, ..flat() }),
+        ("refine, repeated", Options { lod: None, repeat, view_distance: 500.0, ..flat() }),
         ("gap fill", Options { remap: Remap::Nearest, planes: Planes::Factor(0.3), ..flat() }),
         ("readjusted", Options { remap: Remap::Nearest, readjust: true, ..flat() }),
     ] {
