@@ -7,8 +7,8 @@
 //! Not measured: shading and writing pictures.
 
 use glam::DVec3;
-use planecast::cpu::{refine, remap};
 use planecast::cpu::traverse::{Counters, PlaneBuffer, traverse};
+use planecast::cpu::{refine, remap};
 use planecast::plane_setup::plane_setup;
 use planecast::{Camera, Options, Repeat, Resident};
 use planecast_encoder::source::{self, ReadOptions};
@@ -115,10 +115,11 @@ fn main() {
                     let counters = traverse::<f32>(&resident, &setup, args.options.culling, &mut buffer, retest);
                     walk = walk.min(at.elapsed().as_secs_f64() * 1e3);
                     if retest {
-                        let (color, depth) = (&mut color[..], &mut depth[..]);
-                        let doubt = if args.refine && setup.refines(&camera, &args.options) { &mut doubt[..] } else { &mut [] };
-                        remap::remap_retest(&resident, &setup, &buffer, &camera, color, depth, &mut [], doubt);
-                        refine::refine(&resident, &setup, &camera, doubt, color, depth, &mut []);
+                        let doubts = if args.refine && setup.refines(&camera, &args.options) { n } else { 0 };
+                        let (doubt, voxel) = (&mut doubt[..doubts], &mut []);
+                        let mut pixels = remap::Pixels { color: &mut color, depth: &mut depth, voxel, doubt };
+                        remap::remap_retest(&resident, &setup, &buffer, &camera, &mut pixels);
+                        refine::refine(&resident, &setup, &camera, &mut pixels);
                     } else {
                         remap::remap(&setup, &buffer, args.size[0], &mut color, &mut depth);
                     }

@@ -12,7 +12,8 @@
 //! |---|---|---|---|---|
 //! | `plane_setup` | camera → planes, fans | a frame | [`plane_setup`] | the same, uploaded |
 //! | `traverse` | planes, columns → plane buffer | a plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
-//! | `remap` | plane buffer → pixels | a pixel | [`cpu::remap`] | `remap.wgsl` |
+//! | `remap` | plane buffer → pixels, doubts | a pixel | [`cpu::remap`] | `remap.wgsl` |
+//! | `refine` | doubts, columns → pixels | a pixel | [`cpu::refine`] | `refine.wgsl` |
 //! | `gap_fill` | pixels → pixels without holes | a pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
 //! | `shade` | colour, depth → picture | a pixel | [`cpu::shade`] | `shade.wgsl` |
 //!
@@ -42,7 +43,8 @@
 //! # What is exact
 //! Plane setup is f64. The walk is f32, as on the GPU, with crossings recomputed from whole cell numbers at each step.
 //! At pitch 0 and roll 0 planes are pixel columns and differ from [`exact`] by rounding alone; elsewhere a pixel shows what
-//! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]). Culling never changes a picture.
+//! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]); where samples disagree and no coarser
+//! level is drawn, what a short walk of that ray meets ([`Remap::Refine`]). Culling never changes a picture.
 
 #[cfg(feature = "report")]
 pub mod bench;

@@ -190,13 +190,17 @@ impl<'a> CpuRenderer<'a> {
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
         if retest {
-            let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
-            let doubts = if setup.refines(camera, options) { color.len() } else { 0 };
+            let doubts = if setup.refines(camera, options) { self.color.len() } else { 0 };
             self.doubt.resize(doubts, refine::Doubt::NONE);
-            let doubt = &mut self.doubt;
-            remap::remap_retest(self.resident, setup, &self.buffer, camera, color, depth, voxel, doubt);
-            refine::refine(self.resident, setup, camera, doubt, color, depth, voxel);
-            for v in voxel {
+            let mut pixels = remap::Pixels {
+                color: &mut self.color,
+                depth: &mut frame.depth,
+                voxel: &mut frame.voxel,
+                doubt: &mut self.doubt,
+            };
+            remap::remap_retest(self.resident, setup, &self.buffer, camera, &mut pixels);
+            refine::refine(self.resident, setup, camera, &mut pixels);
+            for v in &mut frame.voxel {
                 *v = world_voxel(setup, *v);
             }
             return [0, 0];

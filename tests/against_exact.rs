@@ -31,8 +31,8 @@ fn bounds(kind: Kind) -> [f64; 2] {
 fn reached(kind: Kind) -> [f64; 2] {
     match kind {
         Kind::Level => [99.99, 99.99],
-        Kind::Turned => [99.0, 99.75],
-        Kind::Far => [96.5, 98.5],
+        Kind::Turned => [99.5, 99.95],
+        Kind::Far => [99.8, 99.9],
     }
 }
 
@@ -80,19 +80,6 @@ fn planes_show_thin_and_regular_things_as_exact_does() {
     check(&[staircase(), sheets(), odd(), room()], &plain(), SIZE);
 }
 
-/// A frame of `exact` with each ray moved by so many pixels to the right and as many down.
-fn moved(world: &World, camera: &Camera, by: f64) -> Frame {
-    let (basis, columns) = (camera.basis(), &world.scene.levels[0].solid);
-    let mut frame = world.exact(camera, &plain());
-    for (i, voxel) in frame.voxel.iter_mut().enumerate() {
-        let (x, y) = (i % camera.width as usize, i / camera.width as usize);
-        let ray = camera.ray(&basis, x as f64 + 0.5 + by, y as f64 + 0.5 + by);
-        let hit = cast(columns, [false; 2], camera.eye, ray, f64::INFINITY);
-        *voxel = hit.map_or([-1; 4], |hit| [hit.voxel[0] as i32, hit.voxel[1] as i32, hit.voxel[2] as i32, 0]);
-    }
-    frame
-}
-
 /// How wide a voxel is in the middle one of the pixels that show any, in pixels.
 fn voxel_width(camera: &Camera, exact: &Frame) -> f64 {
     let mut depth: Vec<f32> = exact.depth.iter().copied().filter(|d| d.is_finite()).collect();
@@ -100,13 +87,12 @@ fn voxel_width(camera: &Camera, exact: &Frame) -> f64 {
     depth.get(depth.len() / 2).map_or(f64::INFINITY, |&d| camera.focal() / f64::from(d))
 }
 
-/// Hundreds of poses in worlds smooth and without any order, the worst first: within their bounds or, where much that is
-/// seen is smaller than a pixel, about as near as `exact` itself is with its rays half a pixel aside.
+/// Hundreds of poses in worlds smooth and without any order, the worst first: all within what is promised.
 #[test]
 #[ignore = "takes a minute: cargo test --release --test against_exact -- --ignored --nocapture"]
 fn planes_show_the_voxels_of_exact_in_a_wide_sweep() {
     let worlds = [hills(MEDIUM), rough(), noisy(), caves(), blocks(), sponge(), single_things(), rocks()];
-    let (mut rows, mut faults) = (Vec::new(), Vec::new());
+    let mut rows = Vec::new();
     let mut below = 0;
     for world in &worlds {
         for Pose { name, kind, camera } in wide_poses(world, SIZE) {
@@ -119,22 +105,13 @@ fn planes_show_the_voxels_of_exact_in_a_wide_sweep() {
                 _ => Kind::Turned,
             };
             let [same, near] = bounds(kind);
-            let holds = |same, near| agreement.same_percent() >= same && agreement.near_percent() >= near;
-            let falls = !holds(same, near);
+            let falls = agreement.same_percent() < same || agreement.near_percent() < near;
             below += usize::from(falls);
-            // Half a pixel aside, as far as samples lie from pixels.
-            let aside = [0.01, 0.35].map(|by| compare(&moved(world, &camera, by), &exact));
-            if falls && !holds(aside[1].same_percent(), aside[1].near_percent() - 0.5) {
-                faults.push(format!("{} {name}: {agreement}", world.name));
-            }
             let row = format!(
-                "{:14} {name:44} {width:6.2} px {kind:?} {agreement}  back {:7.3} %  {}  exact moved: {:.3} {:.3} {:.3}",
+                "{:14} {name:44} {width:6.2} px {kind:?} {agreement}  back {:7.3} %  {}",
                 world.name,
                 back.near_percent(),
-                if falls { "below" } else { "     " },
-                aside[0].same_percent(),
-                aside[1].same_percent(),
-                aside[1].near_percent(),
+                if falls { "below" } else { "" },
             );
             rows.push((agreement.near_percent(), row));
         }
@@ -142,8 +119,7 @@ fn planes_show_the_voxels_of_exact_in_a_wide_sweep() {
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     rows.iter().for_each(|(_, row)| println!("{row}"));
     println!("{} poses, {below} below their bounds", rows.len());
-    assert!(faults.is_empty(), "{} poses:\n{}", faults.len(), faults.join("\n"));
-    assert!(below <= 21, "{below} poses below their bounds");
+    assert_eq!(below, 0, "poses below their bounds");
 }
 
 /// Figures of the other ways to remap: what retest and planes twice as close gain.

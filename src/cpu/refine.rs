@@ -6,6 +6,7 @@
 //! walk at level 0 finds it. (Not in the papers.) Twin: `shaders/refine.wgsl`.
 
 use crate::camera::Camera;
+use crate::cpu::remap::Pixels;
 use crate::cpu::traverse::Real;
 use crate::plane_setup::Setup;
 use crate::resident::{EMPTY, Resident, ResidentLevel};
@@ -36,16 +37,9 @@ impl Doubt {
     }
 }
 
-/// Walks the rays of all pixels in doubt. `voxel`, unless empty, is as planes have it: cells of a level.
-pub fn refine(
-    resident: &Resident,
-    setup: &Setup,
-    camera: &Camera,
-    doubt: &[Doubt],
-    color: &mut [u32],
-    depth: &mut [f32],
-    voxel: &mut [[i32; 4]],
-) {
+/// Walks the rays of all pixels in doubt.
+pub fn refine(resident: &Resident, setup: &Setup, camera: &Camera, pixels: &mut Pixels<'_>) {
+    let Pixels { color, depth, voxel, doubt } = pixels;
     let w = camera.width as usize;
     let basis = camera.basis();
     let walk = Walk::new(resident, setup);
@@ -290,9 +284,9 @@ mod tests {
     /// Single voxels, long runs, columns of very many runs, heights.
     fn scenes() -> [Scene; 4] {
         [
-            scene([40, 30, 40], |x, y, z| noise(x, y, z) % 40 == 0),
+            scene([40, 30, 40], |x, y, z| noise(x, y, z).is_multiple_of(40)),
             scene([40, 60, 40], |x, y, z| noise(x, y / 9, z).is_multiple_of(5)),
-            scene([12, 3000, 12], |x, y, z| y % 4 == 0 && noise(x, 0, z) % 3 > 0),
+            scene([12, 3000, 12], |x, y, z| y.is_multiple_of(4) && !noise(x, 0, z).is_multiple_of(3)),
             scene([40, 30, 40], |x, y, z| y < 5 + noise(x, 0, z) % 9),
         ]
     }
@@ -303,8 +297,8 @@ mod tests {
             for (features, repeats) in [(Features::ALL, false), (Features::NONE, true)] {
                 let [met, same] = settled(scene, features, repeats, |_| ());
                 println!("world {i}, repeats {repeats}: {same} of {met}");
-                // Rays that begin a walk within a voxel they have passed by, and roundings on edges.
-                assert!(met > 2000 && f64::from(same) >= 0.99 * f64::from(met), "world {i}: {same} of {met}");
+                // Roundings on edges.
+                assert!(met > 2000 && met - same <= 5, "world {i}: {same} of {met}");
             }
         }
     }

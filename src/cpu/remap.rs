@@ -330,24 +330,30 @@ impl Boxes {
     }
 }
 
+/// A picture's pixels, row by row.
+pub struct Pixels<'a> {
+    pub color: &'a mut [u32],
+    pub depth: &'a mut [f32],
+    /// As planes have it, a cell of a level; empty where it is not wanted.
+    pub voxel: &'a mut [[i32; 4]],
+    /// For `refine`: where something else may be seen than the samples around show; empty where it is not to be refined.
+    pub doubt: &'a mut [Doubt],
+}
+
 /// Like [`remap`], but each pixel tests voxels against its own ray: those of its sample in the two planes beside it and,
 /// unless it meets both, those of the samples next to them. It takes the nearest that it meets: what it truly shows is no
 /// farther, since each voxel of the buffer is there. Where it meets none, it takes the sky if one of the two planes shows
 /// it, else the voxel of theirs that it misses less. Depth is where the pixel's own ray enters the voxel. (Not in the
-/// papers.) Needs [`PlaneBuffer::voxel`]; the voxel of each pixel goes to `voxel` unless that is empty, in the same form.
-/// Where planes have no colours they are looked up here, for the samples that are taken. `doubt`, unless empty, is for
-/// `refine`: pixels between whose samples something else may be seen.
-#[allow(clippy::too_many_arguments)]
+/// papers.) Needs [`PlaneBuffer::voxel`]. Where planes
+/// have no colours they are looked up here, for the samples that are taken.
 pub fn remap_retest(
     resident: &Resident,
     setup: &Setup,
     buffer: &PlaneBuffer,
     camera: &Camera,
-    color: &mut [u32],
-    depth: &mut [f32],
-    voxel: &mut [[i32; 4]],
-    doubt: &mut [Doubt],
+    pixels: &mut Pixels<'_>,
 ) {
+    let Pixels { color, depth, voxel, doubt } = pixels;
     let w = camera.width as usize;
     let avx2 = has_avx2();
     let drawn: Vec<_> = setup.planes.iter().map(|plane| [plane.first, plane.end]).collect();
@@ -593,9 +599,8 @@ fn retest_rows(task: RetestTask<'_>) {
 fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 2], nearest: &mut [f32; BLOCK]) {
     for i in 0..near.len() {
         let apart = |axis: usize| own[axis][i].wrapping_sub(beside[axis][i]).unsigned_abs();
-        let neighbours = (apart(0) | apart(1) | apart(2)) <= 1
-            && apart(0) + apart(1) + apart(2) <= 1
-            && own[3][i] == beside[3][i];
+        let neighbours =
+            (apart(0) | apart(1) | apart(2)) <= 1 && apart(0) + apart(1) + apart(2) <= 1 && own[3][i] == beside[3][i];
         let (one, other) = (near[i], near_beside[i]);
         // A ray enters one voxel at one depth.
         let settled = Real::min(one, other) != MISS && (neighbours || one == other);

@@ -192,7 +192,14 @@ mod tests {
         for pages in [one, many] {
             for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
                 for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS", "UNIFORM"]] {
-                    for remap in [&[][..], &["RETEST"], &["RETEST", "REFINE"], &["RETEST", "REFINE", "PACKED", "LATE_COLOR"], &["INDEX"], &["GATHER"]] {
+                    for remap in [
+                        &[][..],
+                        &["RETEST"],
+                        &["RETEST", "REFINE"],
+                        &["RETEST", "REFINE", "PACKED", "LATE_COLOR"],
+                        &["INDEX"],
+                        &["GATHER"],
+                    ] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
                     }
                 }

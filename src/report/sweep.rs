@@ -105,6 +105,10 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
         list.push((format!("equidistant 1/{part}"), "equidistant", options, part == 8));
     }
     list.push(("remap nearest".into(), "remap", nearest, true));
+    let retest = Options { remap: Remap::Retest, ..exact };
+    list.push(("lod off, remap nearest".into(), "remap", Options { remap: Remap::Nearest, ..exact }, false));
+    list.push(("lod off, remap retest".into(), "remap", retest, true));
+    list.push(("lod off, planes 50 %".into(), "remap", planes(0.5, exact), true));
     list.push(("planes 50 %, gaps open".into(), "gap fill", Options { gap_fill: false, ..planes(0.5, usual) }, false));
     list.push(("planes 25 %, gaps open".into(), "gap fill", Options { gap_fill: false, ..planes(0.25, usual) }, false));
     list.push(("full spacing".into(), "spacing", Options { readjust: false, ..usual }, true));
