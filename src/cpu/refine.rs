@@ -14,7 +14,7 @@ use planecast_encoder::Run;
 use rayon::prelude::*;
 
 /// Columns that a ray is walked over at most, from where the nearest sample lies, and again up to what remap chose.
-pub const COLUMNS: u32 = 16;
+pub const COLUMNS: u32 = 64;
 
 /// How much nearer than the nearest sample a walk begins, in voxels along the ray's steepest axis.
 pub const MARGIN: f32 = 1.0;
