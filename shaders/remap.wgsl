@@ -144,9 +144,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var near = near_own;
 //!if REFINE
     // No doubt where it meets the same voxel in both, or one of two that share a face. A ray enters one voxel at one depth.
-    let apart = abs(voxel_of(own) - voxel_of(select(own, beside, both)));
+    // Nor of cells of coarser levels.
+    let voxel_own = voxel_of(own);
+    let voxel_beside = voxel_of(select(own, beside, both));
+    let apart = abs(voxel_own - voxel_beside);
     let neighbours = max(max(apart.x, apart.y), apart.z) <= 1 && apart.x + apart.y + apart.z <= 1 && apart.w == 0;
-    let settled = (near_own != MISS || near_beside != MISS) && (neighbours || near_own == near_beside);
+    let coarse = max(voxel_own.w, voxel_beside.w) > 0;
+    let settled = coarse || ((near_own != MISS || near_beside != MISS) && (neighbours || near_own == near_beside));
     // Depths are not negative: their bits have their order.
     var nearest = min(plane_depth[own], plane_depth[select(own, beside, both)]);
 //!endif
@@ -164,9 +168,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 continue;
             }
             let at = buffer_index(place.fan, k, u32(sample));
-            let depth = enter(voxel_of(at), inverse);
+            let voxel = voxel_of(at);
+            let depth = enter(voxel, inverse);
 //!if REFINE
-            nearest = min(nearest, plane_depth[at]);
+            nearest = min(nearest, select(plane_depth[at], INFINITY, voxel.w > 0));
 //!endif
             if (depth != MISS && (near == MISS || depth < near)) {
                 best = at;

@@ -388,7 +388,7 @@ enum RemapArg {
     Nearest,
     /// The sample around whose voxel the pixel's own ray meets
     Retest,
-    /// The same; where samples disagree and no coarser level is drawn, a short walk of that ray
+    /// The same; where samples show different voxels of level 0, a short walk of that ray
     Refine,
 }
 

@@ -43,8 +43,8 @@
 //! # What is exact
 //! Plane setup is f64. The walk is f32, as on the GPU, with crossings recomputed from whole cell numbers at each step.
 //! At pitch 0 and roll 0 planes are pixel columns and differ from [`exact`] by rounding alone; elsewhere a pixel shows what
-//! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]); where samples disagree and no coarser
-//! level is drawn, what a short walk of that ray meets ([`Remap::Refine`]). Culling never changes a picture.
+//! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]); where samples show
+//! different voxels of level 0, what a short walk of that ray meets ([`Remap::Refine`]). Culling never changes a picture.
 
 #[cfg(feature = "report")]
 pub mod bench;

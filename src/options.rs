@@ -54,7 +54,7 @@ pub enum Remap {
     Nearest,
     /// The one among the nearest whose voxel the pixel's own ray meets.
     Retest,
-    /// The same and, where no coarser level is drawn, what the pixel's own ray meets where its samples disagree.
+    /// The same and, where a pixel's samples show different voxels of level 0, what its own ray meets of them and between.
     Refine,
 }
 

@@ -257,9 +257,10 @@ impl Setup {
         options.remap != Remap::Nearest && !self.is_pixel_columns(camera) && (!self.is_sparse() || options.gap_fill)
     }
 
-    /// Whether pixels whose samples disagree walk their own rays: where they test samples, and all cells are voxels.
+    /// Whether pixels whose samples disagree walk their own rays: where they test samples, and any shows level 0.
     pub fn refines(&self, camera: &Camera, options: &Options) -> bool {
-        options.remap == Remap::Refine && self.retests(camera, options) && self.levels == 1
+        let finest = self.planes.iter().any(|plane| plane.lod_first == 0);
+        options.remap == Remap::Refine && self.retests(camera, options) && finest
     }
 
     /// Whether each pixel column is a plane and each pixel its sample (a level, upright camera).

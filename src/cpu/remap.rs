@@ -550,7 +550,8 @@ fn retest_rows(task: RetestTask<'_>) {
             if doubts {
                 for (&at, &i) in again.at.iter().zip(&again.pixel[..n_again]) {
                     let nearest = &mut block.nearest[usize::from(i)];
-                    *nearest = Real::min(*nearest, depths[at as usize]);
+                    let coarse = shown[at as usize][3] > 0;
+                    *nearest = Real::min(*nearest, if coarse { MISS } else { depths[at as usize] });
                 }
             }
         }
@@ -594,7 +595,8 @@ fn retest_rows(task: RetestTask<'_>) {
 }
 
 /// Marks with [`SETTLED`] the pixels whose two planes leave no doubt: those that meet the same voxel in both, and those that
-/// meet one of two that share a face, between which there is nothing else to see.
+/// meet one of two that share a face, between which there is nothing else to see. Nor do cells of coarser levels, which are
+/// about a pixel wide.
 #[inline(always)]
 fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 2], nearest: &mut [f32; BLOCK]) {
     for i in 0..near.len() {
@@ -603,7 +605,8 @@ fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 
             (apart(0) | apart(1) | apart(2)) <= 1 && apart(0) + apart(1) + apart(2) <= 1 && own[3][i] == beside[3][i];
         let (one, other) = (near[i], near_beside[i]);
         // A ray enters one voxel at one depth.
-        let settled = Real::min(one, other) != MISS && (neighbours || one == other);
+        let coarse = own[3][i].max(beside[3][i]) > 0;
+        let settled = coarse || (Real::min(one, other) != MISS && (neighbours || one == other));
         nearest[i] = if settled { SETTLED } else { MISS };
     }
 }
