@@ -82,6 +82,7 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
     };
     let usual = Options { shading: Shading::Full, ..*base };
     let nearest = Options { remap: Remap::Nearest, ..usual };
+    let retest = Options { remap: Remap::Retest, ..usual };
     let planes = |f: f64, o: Options| Options { planes: Planes::Factor(f), ..o };
     let lod = |px: f64, o: Options| Options { lod: Some(px), ..o };
     let exact = Options { lod: None, ..usual };
@@ -105,10 +106,7 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
         list.push((format!("equidistant 1/{part}"), "equidistant", options, part == 8));
     }
     list.push(("remap nearest".into(), "remap", nearest, true));
-    let retest = Options { remap: Remap::Retest, ..exact };
-    list.push(("lod off, remap nearest".into(), "remap", Options { remap: Remap::Nearest, ..exact }, false));
-    list.push(("lod off, remap retest".into(), "remap", retest, true));
-    list.push(("lod off, planes 50 %".into(), "remap", planes(0.5, exact), true));
+    list.push(("remap retest".into(), "remap", retest, true));
     list.push(("planes 50 %, gaps open".into(), "gap fill", Options { gap_fill: false, ..planes(0.5, usual) }, false));
     list.push(("planes 25 %, gaps open".into(), "gap fill", Options { gap_fill: false, ..planes(0.25, usual) }, false));
     list.push(("full spacing".into(), "spacing", Options { readjust: false, ..usual }, true));
@@ -134,8 +132,10 @@ pub fn configs(extent: u32, base: &Options, kernels: &[&'static str], few: bool)
         ("nearest, planes 75 %, lod 2", planes(0.75, lod(2.0, nearest)), false),
         ("nearest, planes 50 %, lod 2", planes(0.5, lod(2.0, nearest)), false),
         ("nearest, planes 50 %, lod 4", planes(0.5, lod(4.0, nearest)), false),
-        ("planes 75 %, lod 2", planes(0.75, lod(2.0, usual)), false),
-        ("planes 50 %, lod 2", planes(0.5, lod(2.0, usual)), true),
+        ("retest, planes 75 %, lod 2", planes(0.75, lod(2.0, retest)), false),
+        ("retest, planes 50 %, lod 2", planes(0.5, lod(2.0, retest)), true),
+        ("retest, planes 200 %, lod 0.5", planes(2.0, lod(0.5, retest)), false),
+        ("planes 50 %, lod 2", planes(0.5, lod(2.0, usual)), false),
         ("planes 50 %, lod 2, ssao 4 samples", planes(0.5, lod(2.0, Options { ssao_samples: 4, ..usual })), false),
         ("planes 150 %, lod 0.5", planes(1.5, lod(0.5, usual)), false),
         ("planes 200 %, lod 0.5", planes(2.0, lod(0.5, usual)), true),
