@@ -236,8 +236,8 @@ impl PcastFile {
         Place { path: &self.path, level, tx, tz, offset, flags, modes, dims }
     }
 
-    /// A tile's blob, its checksum checked on first use; None for an empty tile.
-    pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
+    /// A tile's bytes as they are stored, their checksum checked on first use; None for an empty tile.
+    pub(crate) fn stored(&self, level: usize, tx: u32, tz: u32) -> Result<Option<&[u8]>> {
         let ix = self.tile_ix(level, tx, tz);
         let entry = &self.entries[ix];
         if entry.is_empty() {
@@ -245,13 +245,21 @@ impl PcastFile {
         }
         // The directory's check keeps blobs inside the file.
         let bytes = &self.bytes[entry.offset as usize..][..entry.len as usize];
-        let place = self.place(level, tx, tz);
         if !self.checked[ix].load(Ordering::Relaxed) {
             if xxh3_64(bytes) != entry.checksum {
+                let place = self.place(level, tx, tz);
                 return Err(place.error(0, "does not match its checksum; the file is damaged"));
             }
             self.checked[ix].store(true, Ordering::Relaxed);
         }
+        Ok(Some(bytes))
+    }
+
+    /// A tile's blob, unpacked; None for an empty tile.
+    pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
+        let Some(bytes) = self.stored(level, tx, tz)? else { return Ok(None) };
+        let entry = &self.entries[self.tile_ix(level, tx, tz)];
+        let place = self.place(level, tx, tz);
         if entry.flags & COMPRESSED == 0 {
             return Blob::new(place, Cow::Borrowed(bytes), bytes.len()).map(Some);
         }

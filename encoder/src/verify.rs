@@ -38,7 +38,7 @@ pub fn verify(file: &PcastFile, depth: Depth) -> Report {
     });
     let check = |(tile, (k, tx, tz))| {
         let checked = match depth {
-            Depth::Checksums => file.blob(k, tx, tz).map(drop),
+            Depth::Checksums => file.stored(k, tx, tz).map(drop),
             _ => file.check_tile(k, tx, tz),
         };
         checked.err().map(|fault| (tile, fault))
