@@ -23,7 +23,8 @@ fn stretch(start: f32, end: f32) -> f32 {
     let eye = vec2(frame.eye_cell.x, frame.eye_cell.z);
     let fract_ = vec2(frame.eye_fract.x, frame.eye_fract.z);
     let inverse_ = vec2(inverse.x, inverse.z);
-    var cell = eye + vec2<i32>(floor(fract_ + start * along));
+    // A sample along the horizon may claim any depth.
+    var cell = eye + vec2<i32>(floor(clamp(fract_ + start * along, vec2(-FARTHEST), vec2(FARTHEST))));
     let entry = (vec2<f32>(cell + 1 - ahead - eye) - fract_) * inverse_;
     var q0 = max(max(entry.x, entry.y), 0.0);
     var next = (vec2<f32>(cell + ahead - eye) - fract_) * inverse_;
@@ -70,9 +71,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let depth = select(bitcast<f32>(image_depth[i]), F32_MAX, sky);
     // What the ray meets there, it cannot see through.
     let end = select(min(depth, view_end), view_end, (doubt >> 31u) == 1u);
-    let to = stretch(max(bitcast<f32>(doubt & 0x7fffffffu) - margin, 0.0), end);
+    let start = max(bitcast<f32>(doubt & 0x7fffffffu) - margin, 0.0);
+    if (start >= view_end) {
+        return;
+    }
+    let to = stretch(start, end);
     // Between two surfaces lies nothing that a sample has shown.
-    if (!hit && to != INSIDE && to < depth && !sky) {
+    if (!hit && to != INSIDE && to < depth && depth < view_end && !sky) {
         stretch(max(depth - margin, to), end);
     }
     if (!hit) {

@@ -8,7 +8,7 @@
 use crate::camera::Camera;
 use crate::cpu::remap::Pixels;
 use crate::cpu::traverse::Real;
-use crate::plane_setup::Setup;
+use crate::plane_setup::{FARTHEST_VIEW, Setup};
 use crate::resident::{EMPTY, Resident, ResidentLevel};
 use planecast_encoder::Run;
 use rayon::prelude::*;
@@ -18,6 +18,9 @@ pub const COLUMNS: u32 = 64;
 
 /// How much nearer than the nearest sample a walk begins, in voxels along the ray's steepest axis.
 pub const MARGIN: f32 = 1.0;
+
+/// Voxels from the eye that nothing drawn is beyond, along an axis.
+pub const FARTHEST: f32 = FARTHEST_VIEW as f32;
 
 /// What remap says of a pixel whose samples agree: [`Doubt::NONE`], else the least depth among them, its sign set where the
 /// pixel's ray meets none of their voxels.
@@ -124,9 +127,12 @@ impl<'a> Walk<'a> {
         // What the ray meets there, it cannot see through.
         let end = if doubt.0.is_sign_negative() { ray.end } else { Real::min(depth, ray.end) };
         let from = Real::max(doubt.0.abs() - ray.margin, 0.0);
+        if from >= ray.end {
+            return None;
+        }
         match self.stretch(ray, from, end) {
             // Between two surfaces lies nothing that a sample has shown.
-            Stretch::Free(to) if to < depth && depth < f32::INFINITY => {
+            Stretch::Free(to) if to < depth && depth < ray.end => {
                 match self.stretch(ray, Real::max(depth - ray.margin, to), end) {
                     Stretch::Met(met) => Some(met),
                     _ => None,
@@ -153,7 +159,8 @@ impl<'a> Walk<'a> {
             let axis = 2 * k;
             let forward = ray.dir[axis] >= 0.0;
             step[k] = if forward { 1 } else { -1 };
-            let at = self.fract[axis] + from * ray.dir[axis];
+            // A sample along the horizon may claim any depth.
+            let at = (self.fract[axis] + from * ray.dir[axis]).clamp(-FARTHEST, FARTHEST);
             let floor = at as i32 - i32::from(at < (at as i32) as f32);
             cell[k] = self.eye[axis].wrapping_add(floor);
             let (near, far) = if forward { (0, 1) } else { (1, 0) };

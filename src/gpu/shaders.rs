@@ -79,6 +79,7 @@ fn header() -> String {
     constant("PAINT_RUN", "1u".into());
     constant("PAINT_VOXEL", "2u".into());
     constant("PAINT_COLUMN", "3u".into());
+    constant("FARTHEST", format!("{:?}f", refine::FARTHEST));
     constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
     constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
