@@ -10,7 +10,7 @@ use glam::DVec3;
 use planecast::cpu::traverse::{Counters, PlaneBuffer, traverse};
 use planecast::cpu::{refine, remap};
 use planecast::plane_setup::plane_setup;
-use planecast::{Camera, Options, Repeat, Resident};
+use planecast::{Camera, Options, Remap, Repeat, Resident};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, PcastFile, Scene, build};
 use std::path::Path;
@@ -25,8 +25,6 @@ struct Args {
     threads: usize,
     fov: f64,
     size: [u32; 2],
-    retest: bool,
-    refine: bool,
     options: Options,
 }
 
@@ -38,9 +36,7 @@ fn args() -> Args {
         threads: 1,
         fov: 2.0 * 0.75f64.atan().to_degrees(),
         size: [1024, 768],
-        retest: false,
-        refine: false,
-        options: Options { lod: None, ..Options::default() },
+        options: Options { lod: None, remap: Remap::Nearest, ..Options::default() },
     };
     let numbers = |text: &str, by: char| -> Vec<f64> {
         text.split(by).map(|v| v.parse().unwrap_or_else(|_| panic!("{text}: expected numbers"))).collect()
@@ -53,8 +49,8 @@ fn args() -> Args {
             "--threads" => args.threads = numbers(&value(), ',')[0] as usize,
             "--lod" => args.options.lod = Some(numbers(&value(), ',')[0]),
             "--fov" => args.fov = numbers(&value(), ',')[0],
-            "--retest" => args.retest = true,
-            "--refine" => (args.retest, args.refine) = (true, true),
+            "--retest" => args.options.remap = Remap::Retest,
+            "--refine" => args.options.remap = Remap::Refine,
             "--tiled" => {
                 args.options.repeat = Repeat { x: true, z: true };
                 args.options.view_distance = numbers(&value(), ',')[0];
@@ -111,11 +107,11 @@ fn main() {
                     let start = Instant::now();
                     let setup = plane_setup(&resident, &camera, &args.options);
                     let at = Instant::now();
-                    let retest = args.retest && !setup.is_pixel_columns(&camera);
+                    let retest = setup.retests(&camera, &args.options);
                     let counters = traverse::<f32>(&resident, &setup, args.options.culling, &mut buffer, retest);
                     walk = walk.min(at.elapsed().as_secs_f64() * 1e3);
                     if retest {
-                        let doubts = if args.refine && setup.refines(&camera, &args.options) { n } else { 0 };
+                        let doubts = if setup.refines(&camera, &args.options) { n } else { 0 };
                         let (doubt, voxel) = (&mut doubt[..doubts], &mut []);
                         let mut pixels = remap::Pixels { color: &mut color, depth: &mut depth, voxel, doubt };
                         remap::remap_retest(&resident, &setup, &buffer, &camera, &mut pixels);

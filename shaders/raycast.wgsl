@@ -15,6 +15,7 @@ override ROWS: u32 = 8u;
 @group(0) @binding(6) var<storage, read_write> scratch: array<u32>;
 
 var<workgroup> counts: array<atomic<u32>, 3>;
+
 fn locate_ray(axis: u32, q: f32, l: u32, step: i32, ahead: i32) -> i32 {
     let a = axis * 2u;
     var at = (i32(floor(frame.eye_fract[a] + q * ray[a])) + frame.eye_cell[a]) >> l;

@@ -58,6 +58,18 @@ pub enum Remap {
     Refine,
 }
 
+impl Remap {
+    pub const ALL: [Remap; 3] = [Remap::Nearest, Remap::Retest, Remap::Refine];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Remap::Nearest => "nearest",
+            Remap::Retest => "retest",
+            Remap::Refine => "refine",
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shading {
     /// Colour as stored.
@@ -146,12 +158,7 @@ impl Options {
         add(o.samples != usual.samples, format!("--samples {}%", o.samples * 100.0));
         add(o.culling != usual.culling, format!("--cull {}", culling_names(o.culling)));
         add(o.equidistant.is_some(), format!("--equidistant {}", o.equidistant.unwrap_or_default()));
-        let remap = match o.remap {
-            Remap::Nearest => "nearest",
-            Remap::Retest => "retest",
-            Remap::Refine => "refine",
-        };
-        add(o.remap != usual.remap, format!("--remap {remap}"));
+        add(o.remap != usual.remap, format!("--remap {}", o.remap.name()));
         add(!o.gap_fill, "--no-gap-fill".into());
         add(o.f64_traversal, "--f64".into());
         let shading = match o.shading {

@@ -15,8 +15,6 @@ use planecast_encoder::Columns;
 
 const SIZE: [u32; 2] = [300, 240];
 
-const REMAPS: [Remap; 3] = [Remap::Nearest, Remap::Retest, Remap::Refine];
-
 /// Least share of pixels with the same voxel, and of those with it within one pixel, in percent: what is promised of any
 /// world.
 fn bounds(kind: Kind) -> [f64; 2] {
@@ -366,7 +364,7 @@ fn closed_room_shows_no_sky() {
     for k in 0..800 {
         let camera = random_pose(&mut random, &room);
         let mut options = [plain(), Options { lod: Some(1.0), ..plain() }][k % 2];
-        options.remap = REMAPS[k / 2 % 3];
+        options.remap = Remap::ALL[k / 2 % 3];
         options.readjust = k / 6 % 2 == 1;
         options.planes = [Planes::Auto, Planes::Auto, Planes::Factor(0.5), Planes::Factor(2.0)][k / 12 % 4];
         let frame = room.render(&camera, &options);
@@ -458,7 +456,7 @@ fn wrong(world: &World, options: &Options) -> f64 {
 #[test]
 fn samples_that_are_few_show_fewer_of_the_voxels_of_exact() {
     let world = rocks();
-    for remap in REMAPS {
+    for remap in Remap::ALL {
         let of = |samples: f64| wrong(&world, &Options { samples, remap, ..plain() });
         let [few, usual, three] = [0.4, 1.0, 3.0].map(of);
         println!("{remap:?}: 40 % {few:.2}, 100 % {usual:.2}, 300 % {three:.2} % of pixels");
@@ -490,7 +488,7 @@ fn samples_of_any_number_leave_no_pixel_open() {
             continue;
         }
         let samples = [0.02, 0.37, 0.99, 1.01, 1.6, 7.9][k % 6];
-        let remap = REMAPS[k / 6 % 3];
+        let remap = Remap::ALL[k / 6 % 3];
         let frame = world.render(&camera, &Options { samples, remap, ..plain() });
         assert_eq!(sane(&frame), Ok(()));
         let open = frame.depth.iter().filter(|d| d.is_infinite()).count();

@@ -195,7 +195,7 @@ const SIZES: [[u32; 2]; 6] = [[64, 48], [65, 49], [64, 49], [65, 48], [1, 1], [1
 /// Each pixel shows a voxel of layer `y`, whose face is at `depth`. A retested pixel may show a neighbour of the
 /// voxel that its ray meets, and then has the depth at which its ray enters that one: less than a voxel more.
 fn flat(world: &World, camera: &Camera, depth: f64, y: i32) {
-    for remap in [Remap::Nearest, Remap::Retest, Remap::Refine] {
+    for remap in Remap::ALL {
         let frame = world.render(camera, &Options { remap, ..plain() });
         let mut neighbours = 0;
         for (i, &d) in frame.depth.iter().enumerate() {

@@ -161,7 +161,7 @@ fn fewer_planes_with_gap_fill_leave_no_hole() {
         let turn = [random.within(0.0, 360.0), random.within(-90.0, 90.0), random.within(-50.0, 50.0)];
         let mut camera = common::camera(DVec3::new(12.4, 7.3, 10.6), turn, [91, 67]);
         camera.fov = random.within(20.0, 110.0);
-        for remap in [Remap::Nearest, Remap::Retest, Remap::Refine] {
+        for remap in Remap::ALL {
             let fewer = Options { planes: Planes::Factor(0.5), readjust: k % 2 == 0, remap, ..plain() };
             let sky = |f: &Frame| f.depth.iter().filter(|&&d| d == f32::INFINITY).count() as u64;
             let filled = room.render(&camera, &fewer);
@@ -281,7 +281,7 @@ fn any_options() -> impl Strategy<Value = Options> {
             readjust,
             gap_fill,
             equidistant,
-            remap: if retest { Remap::Retest } else { Remap::Nearest },
+            remap: if retest { Remap::Refine } else { Remap::Nearest },
             culling: if all { Culling::ALL } else { Culling::NONE },
             f64_traversal: gap_fill,
             ssao_samples: if all { 64 } else { 1 },

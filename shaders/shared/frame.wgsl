@@ -54,6 +54,11 @@ struct Frame {
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 
+// Height above the eye of the face below voxel y of level 0.
+fn height(y: i32) -> f32 {
+    return f32(y - frame.eye_cell.y) - frame.eye_fract.y;
+}
+
 // A device that ends loops after a number of turns and then goes on with what it has.
 override ENDS_LOOPS: bool = false;
 

@@ -11,10 +11,6 @@ var<private> hit_depth: f32;
 var<private> hit_color: u32;
 var<private> hit_voxel: vec4<i32>;
 
-fn height(y: i32) -> f32 {
-    return f32(y - frame.eye_cell.y) - frame.eye_fract.y;
-}
-
 fn cross_ray(axis: u32, line: i32) -> f32 {
     let a = axis * 2u;
     return select((f32(line - frame.eye_cell[a]) - frame.eye_fract[a]) * inverse[a], STEEP, ray[a] == 0.0);

@@ -41,11 +41,6 @@ fn slope_at(u: f32) -> f32 {
     return select(STEEP, -STEEP, h < 0.0);
 }
 
-// Height above the eye of the face below voxel y of level 0.
-fn height(y: i32) -> f32 {
-    return f32(y - frame.eye_cell.y) - frame.eye_fract.y;
-}
-
 // The first sample whose centre is at or above point (t, h), within the plane's own window.
 fn sample_at(t: f32, h: f32) -> i32 {
     if (h <= s_first * t) {

@@ -6,7 +6,7 @@
 //! walk at level 0 finds it. (Not in the papers.) Twin: `shaders/refine.wgsl`.
 
 use crate::camera::Camera;
-use crate::cpu::remap::Pixels;
+use crate::cpu::remap::{Pixels, ray_inverse};
 use crate::cpu::traverse::Real;
 use crate::plane_setup::{FARTHEST_VIEW, Setup};
 use crate::resident::{EMPTY, Resident, ResidentLevel};
@@ -81,8 +81,7 @@ struct Ray {
 impl Ray {
     #[inline(always)]
     fn new(dir: [f32; 3], view_distance: f32) -> Ray {
-        // A ray along an axis' grid planes crosses none of them.
-        let inverse = dir.map(|d| 1.0 / if d.abs() < 1e-30 { 1e-30 } else { d });
+        let inverse = dir.map(ray_inverse);
         let horizontal = (dir[0] * dir[0] + dir[2] * dir[2]).sqrt();
         let steepest = dir.into_iter().map(f32::abs).fold(0.0, Real::max);
         Ray { dir, inverse, end: view_distance / Real::max(horizontal, 1e-20), margin: MARGIN / steepest }

@@ -276,6 +276,13 @@ struct Boxes {
     fract: [f32; 3],
 }
 
+/// The reciprocal of a component of a ray. A ray along an axis' grid planes crosses none of them, and is in or out of a
+/// voxel's slab whatever its parameter.
+#[inline(always)]
+pub fn ray_inverse(d: f32) -> f32 {
+    1.0 / (if d.abs() < 1e-30 { 1e-30 } else { d })
+}
+
 /// The depth of a voxel that a ray does not meet.
 const MISS: f32 = f32::INFINITY;
 
@@ -499,11 +506,7 @@ fn retest_rows(task: RetestTask<'_>) {
         let [dx, dy, dz] = &mut block.inverse;
         for (i, ((dx, dy), dz)) in dx[..m].iter_mut().zip(&mut dy[..m]).zip(&mut dz[..m]).enumerate() {
             let x = f64::from((part.from as i32).wrapping_add(i as i32));
-            // A ray along an axis' grid planes is in or out of a voxel's slab whatever its parameter.
-            let inverse = |start: f64, step: f64| {
-                let d = (start + step * x) as f32;
-                1.0 / (if d.abs() < 1e-30 { 1e-30 } else { d })
-            };
+            let inverse = |start: f64, step: f64| ray_inverse((start + step * x) as f32);
             (*dx, *dy, *dz) = (inverse(start.x, step.x), inverse(start.y, step.y), inverse(start.z, step.z));
         }
         for ((at, near), voxel) in block.at.iter().zip(&mut block.near).zip(&mut block.voxel) {

@@ -261,9 +261,8 @@ impl Panel {
             ui.add(egui::Slider::new(&mut o.samples, 0.25..=4.0).text("samples a pixel"));
             ui.horizontal(|ui| {
                 ui.label("remap:");
-                for (name, remap) in [("nearest", Remap::Nearest), ("retest", Remap::Retest), ("refine", Remap::Refine)]
-                {
-                    ui.selectable_value(&mut o.remap, remap, name);
+                for remap in Remap::ALL {
+                    ui.selectable_value(&mut o.remap, remap, remap.name());
                 }
             });
             ui.checkbox(&mut o.gap_fill, "gap fill");
