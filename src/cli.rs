@@ -794,6 +794,7 @@ fn stop_on_ctrl_c() -> &'static AtomicBool {
 /// For commands that have nothing to bring to an end: Ctrl-C ends them with one line, and leaves no file that is not whole.
 fn end_on_ctrl_c() {
     _ = ctrlc::set_handler(|| {
+        guard::last_word();
         eprintln!("planecast: interrupted; what it was to write is as it was before");
         guard::leave(1);
     });
@@ -892,6 +893,7 @@ fn plain(error: &clap::Error) -> String {
 
 fn exit(done: Result<()>) -> ExitCode {
     let Err(error) = done else { return ExitCode::SUCCESS };
+    guard::last_word();
     eprintln!("planecast: {error}");
     match error {
         Error::Argument(_) => ExitCode::from(2),

@@ -14,6 +14,7 @@ fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| {
         let place = panic.location().map(|l| format!(" at {}:{}", l.file(), l.line())).unwrap_or_default();
         let what = panic.payload_as_str().unwrap_or("unknown").replace('\n', " ");
+        planecast_encoder::guard::last_word();
         eprintln!("planecast: a fault in the program itself{place}: {what}; please report it");
         std::process::exit(1);
     }));

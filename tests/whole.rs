@@ -189,6 +189,45 @@ fn files_cut_short_while_they_are_read_are_plain_errors() {
     assert!(meanwhile >= 3, "{cut:?}");
 }
 
+/// A file cut short that all threads read at the same time: told once, by whichever came first.
+#[test]
+fn a_file_that_many_threads_miss_is_told_of_once() {
+    const THREADS: usize = 8;
+    const PAGES: usize = 64;
+    if let Some(path) = std::env::var_os("PLANECAST_TEST_CUT") {
+        // The program that ends: every thread in a page of its own that is gone.
+        planecast_encoder::guard::explain_lost_files();
+        let file = fs::File::options().read(true).write(true).open(&path).unwrap();
+        let map = planecast_encoder::guard::Map::new(Path::new(&path), &file).unwrap();
+        file.set_len(0).unwrap();
+        let start = std::sync::Barrier::new(THREADS);
+        std::thread::scope(|scope| {
+            for k in 0..THREADS {
+                let (map, start) = (&map, &start);
+                scope.spawn(move || {
+                    start.wait();
+                    std::hint::black_box(map[k * PAGES / THREADS * 4096]);
+                });
+            }
+        });
+        unreachable!("the file's bytes are gone");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("cut");
+    for _ in 0..20 {
+        fs::write(&path, vec![1; PAGES * 4096]).unwrap();
+        let output = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "a_file_that_many_threads_miss_is_told_of_once", "--nocapture"])
+            .env("PLANECAST_TEST_CUT", &path)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert!(text.lines().count() == 1 && text.matches("planecast: ").count() == 1, "{text}");
+        assert!(text.contains("cut: byte ") && text.contains(": the file was cut short while it was read"), "{text}");
+    }
+}
+
 /// A scene whose bytes change in place while they are read: read or refused, and nothing else.
 #[test]
 fn scenes_changed_in_place_while_they_are_read_are_read_or_refused() {
@@ -213,20 +252,20 @@ fn scenes_changed_in_place_while_they_are_read_are_read_or_refused() {
                 out.write_all_at(&[old], at).unwrap();
             }
         });
-        for _ in 0..400 {
-            match file.read_scene() {
-                Ok(scene) => {
-                    read += 1;
-                    // Of 64-bit checksums, and of bytes that nothing rests on.
-                    assert!(scene.dims() == right.dims());
-                }
+        // Of 64-bit checksums, and of bytes that nothing rests on.
+        let scenes = || (0..400).map(|_| file.read_scene().map(|scene| assert_eq!(scene.dims(), right.dims())));
+        let seen = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| scenes().collect::<Vec<_>>()));
+        // Before anything fails, or the other thread would go on for ever.
+        done.store(true, Ordering::Relaxed);
+        for scene in seen.unwrap_or_else(|fault| std::panic::resume_unwind(fault)) {
+            match scene {
+                Ok(()) => read += 1,
                 Err(e) => {
                     refused += 1;
                     assert!(e.to_string().contains("a.pcast"), "{e}");
                 }
             }
         }
-        done.store(true, Ordering::Relaxed);
     });
     println!("{read} read, {refused} refused");
     assert!(read > 0 && refused > 0, "{read} read, {refused} refused");

@@ -177,6 +177,7 @@ fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Resul
                 // A second time, at once.
                 Some(_) => guard::leave(1),
                 None => {
+                    guard::last_word();
                     eprintln!("planecast: interrupted; what it has finished stays");
                     guard::leave(1);
                 }

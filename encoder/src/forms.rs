@@ -270,7 +270,8 @@ impl Heights<'_> {
         let (h, low) = (self.height(ix) as usize, self.low(ix) as usize);
         match h {
             0 | 1 => [h, h],
-            _ => [1 + usize::from(low > 1), 1 + h - low],
+            // A forged `low` may lie above.
+            _ => [1 + usize::from(low > 1), 1 + h.saturating_sub(low)],
         }
     }
 

@@ -116,6 +116,21 @@ pub fn leave(status: i32) -> ! {
     unsafe { libc::_exit(status) }
 }
 
+/// Gives the calling thread the program's last word, for what is said before a fault ends it: several threads may meet the
+/// same fault, and it is to be told once. Whoever comes later waits here for the end that the first one brings. Safe in a
+/// signal's handler.
+pub fn last_word() {
+    static SPEAKER: AtomicUsize = AtomicUsize::new(0);
+    thread_local!(static HERE: u8 = const { 0 });
+    // The place of a thread's own byte tells threads apart, and is never 0.
+    let me = HERE.with(|here| std::ptr::from_ref(here) as usize);
+    if let Err(speaker) = SPEAKER.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire) {
+        while speaker != me {
+            std::thread::sleep(std::time::Duration::from_secs(1));
+        }
+    }
+}
+
 /// From now on a mapped file that is cut short ends the program with one plain line and status 1. To be called once, by a
 /// command; elsewhere than on Unix a file that is mapped cannot be cut short.
 pub fn explain_lost_files() {
@@ -125,7 +140,7 @@ pub fn explain_lost_files() {
 
 #[cfg(unix)]
 mod handler {
-    use super::{FREE, MAPPED, Slot, TAKEN, leave};
+    use super::{FREE, MAPPED, Slot, TAKEN, last_word, leave};
     use std::sync::atomic::{AtomicPtr, Ordering};
 
     static BEFORE: AtomicPtr<libc::sigaction> = AtomicPtr::new(std::ptr::null_mut());
@@ -144,7 +159,7 @@ mod handler {
         }
     }
 
-    /// Nothing in it but atomics, `write`, `unlink` and `_exit`: another thread may hold any lock.
+    /// Nothing in it but atomics, `write`, `nanosleep`, `unlink` and `_exit`: another thread may hold any lock.
     extern "C" fn lost(_: libc::c_int, info: *mut libc::siginfo_t, _: *mut libc::c_void) {
         // SAFETY: the system gives a handler of this kind where memory was missed.
         let at = unsafe { (*info).si_addr() } as usize;
@@ -164,6 +179,7 @@ mod handler {
             }
             return;
         };
+        last_word();
         let name = slot.name.load(Ordering::Acquire);
         say(b"planecast: ");
         if !name.is_null() {

@@ -236,7 +236,7 @@ pub fn info(file: &PcastFile) -> Result<Info> {
     let modes = Modes { encoding: file.encoding(), color: file.color() };
     let tally = distinct
         .into_par_iter()
-        .map(|(k, tx, tz)| match file.blob(k, tx, tz)? {
+        .map(|(k, tx, tz)| match file.own_blob(k, tx, tz)? {
             Some(blob) => Tally::of(&blob, &file.entries()[file.tile_ix(k, tx, tz)], modes),
             None => Ok(Tally::default()),
         })

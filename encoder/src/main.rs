@@ -30,6 +30,7 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            planecast_encoder::guard::last_word();
             eprintln!("planecast-encode: {error}");
             cli::exit_status(&error).into()
         }

@@ -236,46 +236,68 @@ impl PcastFile {
         Place { path: &self.path, level, tx, tz, offset, flags, modes, dims }
     }
 
+    /// A tile's bytes as they are in the file; None for an empty tile.
+    fn in_file(&self, ix: usize) -> Option<&[u8]> {
+        let entry = &self.entries[ix];
+        // The directory's check keeps blobs inside the file.
+        (!entry.is_empty()).then(|| &self.bytes[entry.offset as usize..][..entry.len as usize])
+    }
+
+    fn check_sum(&self, level: usize, tx: u32, tz: u32, bytes: &[u8]) -> Result<()> {
+        if xxh3_64(bytes) == self.entries[self.tile_ix(level, tx, tz)].checksum {
+            return Ok(());
+        }
+        Err(self.place(level, tx, tz).error(0, "does not match its checksum; the file is damaged"))
+    }
+
     /// A tile's bytes as they are stored, their checksum checked on first use; None for an empty tile.
     pub(crate) fn stored(&self, level: usize, tx: u32, tz: u32) -> Result<Option<&[u8]>> {
         let ix = self.tile_ix(level, tx, tz);
-        let entry = &self.entries[ix];
-        if entry.is_empty() {
-            return Ok(None);
-        }
-        // The directory's check keeps blobs inside the file.
-        let bytes = &self.bytes[entry.offset as usize..][..entry.len as usize];
+        let Some(bytes) = self.in_file(ix) else { return Ok(None) };
         if !self.checked[ix].load(Ordering::Relaxed) {
-            if xxh3_64(bytes) != entry.checksum {
-                let place = self.place(level, tx, tz);
-                return Err(place.error(0, "does not match its checksum; the file is damaged"));
-            }
+            self.check_sum(level, tx, tz, bytes)?;
             self.checked[ix].store(true, Ordering::Relaxed);
         }
         Ok(Some(bytes))
     }
 
-    /// A tile's blob, unpacked; None for an empty tile.
+    /// A tile's blob, unpacked, to look something up in; None for an empty tile. Where the file is mapped, somebody may change
+    /// its bytes from one look to the next.
     pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
         let Some(bytes) = self.stored(level, tx, tz)? else { return Ok(None) };
-        let entry = &self.entries[self.tile_ix(level, tx, tz)];
+        self.unpack(level, tx, tz, Cow::Borrowed(bytes)).map(Some)
+    }
+
+    /// The same to be read as a whole: bytes that were found right stay so.
+    pub(crate) fn own_blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
+        if let Bytes::Owned(_) = self.bytes {
+            return self.blob(level, tx, tz);
+        }
+        let Some(bytes) = self.in_file(self.tile_ix(level, tx, tz)) else { return Ok(None) };
+        let bytes = bytes.to_vec();
+        self.check_sum(level, tx, tz, &bytes)?;
+        self.unpack(level, tx, tz, Cow::Owned(bytes)).map(Some)
+    }
+
+    fn unpack<'a>(&'a self, level: usize, tx: u32, tz: u32, bytes: Cow<'a, [u8]>) -> Result<Blob<'a>> {
         let place = self.place(level, tx, tz);
-        if entry.flags & COMPRESSED == 0 {
-            return Blob::new(place, Cow::Borrowed(bytes), bytes.len()).map(Some);
+        let stored = bytes.len();
+        if place.flags & COMPRESSED == 0 {
+            return Blob::new(place, bytes, stored);
         }
         // Memory grows with what the frame really holds, not with what it claims.
         let mut unpacked = Vec::new();
-        unzstd(bytes)
+        unzstd(&bytes)
             .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
             .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
-        Blob::new(place, Cow::Owned(unpacked), bytes.len()).map(Some)
+        Blob::new(place, Cow::Owned(unpacked), stored)
     }
 
     /// One tile, after every byte of it was checked. Its columns are those of [`Grid::columns`], counted from 0.
     ///
     /// Panics if the file has no such tile.
     pub fn tile(&self, level: usize, tx: u32, tz: u32) -> Result<Level> {
-        let Some(blob) = self.blob(level, tx, tz)? else { return Ok(self.place(level, tx, tz).empty()) };
+        let Some(blob) = self.own_blob(level, tx, tz)? else { return Ok(self.place(level, tx, tz).empty()) };
         let tile = blob.level()?;
         blob.check_figures(&tile, &self.entries[self.tile_ix(level, tx, tz)])?;
         Ok(tile)
@@ -283,7 +305,7 @@ impl PcastFile {
 
     /// Checks every byte of one tile, as [`PcastFile::tile`] does.
     pub(crate) fn check_tile(&self, level: usize, tx: u32, tz: u32) -> Result<()> {
-        let Some(blob) = self.blob(level, tx, tz)? else { return Ok(()) };
+        let Some(blob) = self.own_blob(level, tx, tz)? else { return Ok(()) };
         let entry = &self.entries[self.tile_ix(level, tx, tz)];
         if blob.is_sound(entry) { Ok(()) } else { blob.check_figures(&blob.level()?, entry) }
     }
