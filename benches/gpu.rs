@@ -5,13 +5,13 @@
 //! `PLANECAST_BENCH_POSES` and `PLANECAST_BENCH_PIXELS=WxH` change the columns a side, the poses and the picture). Neither
 //! counts the host's plane setup, the upload or the read-back. Where a name is that of a file (any that `encode` reads), the
 //! flight is a stroll over the ground at level 0, not repeated: [`stroll`]; `--poses` writes it as JSON, for peers.
-//! `PLANECAST_BENCH_VIEW=single` leaves procedural worlds unrepeated too.
+//! `PLANECAST_BENCH_VIEW=single` leaves procedural worlds unrepeated too; `PLANECAST_BENCH_REMAP` names another remap.
 //! `--film` counts frames a second with their read-back, one at a time and several on their way.
 
 use criterion::{BenchmarkId, Criterion};
 use planecast::gpu::bench::{Entry, film, flythrough, poses, stroll};
 use planecast::{
-    Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Repeat, Resident, StageTimes,
+    Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap, Repeat, Resident, StageTimes,
 };
 use planecast_encoder::source;
 use planecast_encoder::{BuildOptions, Scene, build};
@@ -40,14 +40,19 @@ fn is_file(name: &str) -> bool {
 
 /// The paper's view: repeated without end, 40,000 voxels far, levels at one pixel.
 fn options(name: &str) -> Options {
-    let planes = Planes::Factor(setting("PLANECAST_BENCH_PLANES", 1.0));
+    let remap = std::env::var("PLANECAST_BENCH_REMAP").unwrap_or_default();
+    let usual = Options {
+        planes: Planes::Factor(setting("PLANECAST_BENCH_PLANES", 1.0)),
+        remap: Remap::ALL.into_iter().find(|r| r.name() == remap).unwrap_or(Options::default().remap),
+        ..Options::default()
+    };
     if is_file(name) {
-        return Options { lod: None, planes, ..Options::default() };
+        return Options { lod: None, ..usual };
     }
     if std::env::var("PLANECAST_BENCH_VIEW").is_ok_and(|view| view == "single") {
-        return Options { planes, ..Options::default() };
+        return usual;
     }
-    Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, planes, ..Options::default() }
+    Options { repeat: Repeat { x: true, z: true }, view_distance: 40_000.0, ..usual }
 }
 
 /// Every kernel: `workgroup` also with other numbers of lanes and with wgpu's runtime checks, `invocation` with the paper's
