@@ -277,6 +277,13 @@ fn writable(device: &Device, format: wgpu::TextureFormat, usage: wgpu::TextureUs
     }
 }
 
+/// Whether writing is faster than copying: 1,920 × 1,080 pixels take an H100 0.010 and 0.108 ms, a software device 5 and 0.15.
+/// Of what browsers do not tell, copies are the safer choice.
+fn writes_first(device: &Device) -> bool {
+    use wgpu::DeviceType::{DiscreteGpu, IntegratedGpu, VirtualGpu};
+    matches!(device.info.device_type, DiscreteGpu | IntegratedGpu | VirtualGpu)
+}
+
 impl Presenter {
     /// How surfaces of a format are to be used, of what they offer.
     pub fn usage(device: &Device, format: wgpu::TextureFormat, offered: wgpu::TextureUsages) -> wgpu::TextureUsages {
@@ -365,8 +372,8 @@ impl Presenter {
 
     /// Records what shows `picture`, `size` pixels, on the whole of a surface's texture; sends nothing.
     ///
-    /// Where size and order are the texture's, and rows begin where copies may begin, the picture is copied: a fraction of
-    /// what a pass over all pixels takes. Otherwise, where the size is the texture's, it is written into it.
+    /// Where the size is the texture's, the picture is written into it by a compute pass, or copied, where order and rows let it
+    /// be: a fraction of what a pass over all pixels takes. Which of the two comes first is the device's matter.
     pub fn show(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
@@ -378,8 +385,8 @@ impl Presenter {
         let same = size == [texture.width(), texture.height()];
         let copies = self.copied == Some(picture.order) && row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let way = match &self.write {
+            Some(_) if same && (writes_first(&self.device) || !copies) => Way::Written,
             _ if same && copies => Way::Copied,
-            Some(_) if same => Way::Written,
             _ => Way::Drawn,
         };
         let mut clock = self.clock.as_mut().filter(|c| c.mapped.is_none());
@@ -698,7 +705,10 @@ mod tests {
                 gpu.draw(&camera, &options).unwrap();
                 let picture = gpu.picture().unwrap();
                 assert_eq!(picture.order, order);
-                let writes = [(WRITE, Way::Written)].into_iter().filter(|_| writable(&device, format, WRITE).is_some());
+                let either = if writes_first(&device) { Way::Written } else { Way::Copied };
+                let writes = [(WRITE, Way::Written), (COPY | WRITE, either)]
+                    .into_iter()
+                    .filter(|_| writable(&device, format, WRITE).is_some());
                 for (usage, expected) in [(COPY, Way::Copied), (PASS, Way::Drawn)].into_iter().chain(writes) {
                     let surface = texture(&device, format, usage, size);
                     let (pixels, way, ms) = shown(&device, picture, size, &surface);
