@@ -124,8 +124,10 @@ pub fn last_word() {
     thread_local!(static HERE: u8 = const { 0 });
     // The place of a thread's own byte tells threads apart, and is never 0.
     let me = HERE.with(|here| std::ptr::from_ref(here) as usize);
-    if let Err(speaker) = SPEAKER.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire) {
-        while speaker != me {
+    if let Err(speaker) = SPEAKER.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire)
+        && speaker != me
+    {
+        loop {
             std::thread::sleep(std::time::Duration::from_secs(1));
         }
     }
