@@ -34,8 +34,9 @@ pub struct Voxel {
 
 /// An open scene file with a valid header and directory.
 ///
-/// The file is mapped, not copied: it must not be cut short while it is open. planecast itself only ever replaces
-/// files as a whole, which is safe.
+/// The file is mapped: it must not be cut short while it is open. Tiles that are read whole are copied before they are
+/// checked, so that no change goes unseen; single voxels are looked up in place, in tiles that were checked once. planecast
+/// itself only ever replaces files as a whole, which is safe.
 pub struct PcastFile {
     path: PathBuf,
     bytes: Bytes,
