@@ -40,10 +40,11 @@ fn is_file(name: &str) -> bool {
 
 /// The paper's view: repeated without end, 40,000 voxels far, levels at one pixel.
 fn options(name: &str) -> Options {
-    let remap = std::env::var("PLANECAST_BENCH_REMAP").unwrap_or_default();
+    let remap = std::env::var("PLANECAST_BENCH_REMAP")
+        .map(|name| Remap::ALL.into_iter().find(|r| r.name() == name).expect("a remap's name"));
     let usual = Options {
         planes: Planes::Factor(setting("PLANECAST_BENCH_PLANES", 1.0)),
-        remap: Remap::ALL.into_iter().find(|r| r.name() == remap).unwrap_or(Options::default().remap),
+        remap: remap.unwrap_or(Options::default().remap),
         ..Options::default()
     };
     if is_file(name) {

@@ -117,8 +117,8 @@ pub fn leave(status: i32) -> ! {
 }
 
 /// Gives the calling thread the program's last word, for what is said before a fault ends it: several threads may meet the
-/// same fault, and it is to be told once. Whoever comes later waits here for the end that the first one brings. Safe in a
-/// signal's handler.
+/// same fault, and it is to be told once. Whoever comes later waits here for the end that the first one brings, or ten
+/// seconds, should it not come. Safe in a signal's handler.
 pub fn last_word() {
     static SPEAKER: AtomicUsize = AtomicUsize::new(0);
     thread_local!(static HERE: u8 = const { 0 });
@@ -127,9 +127,7 @@ pub fn last_word() {
     if let Err(speaker) = SPEAKER.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire)
         && speaker != me
     {
-        loop {
-            std::thread::sleep(std::time::Duration::from_secs(1));
-        }
+        std::thread::sleep(std::time::Duration::from_secs(10));
     }
 }
 
