@@ -263,6 +263,14 @@ fn voxel_paint(exposed: &Columns, colors: &[Rgb]) -> Paint {
 }
 
 impl Paint {
+    /// All colours; where there are none, the one that is shown instead.
+    pub fn colors(&self) -> &[u32] {
+        match self {
+            Paint::None => &[UNPAINTED],
+            Paint::Column { colors } | Paint::Run { colors, .. } | Paint::Voxel { colors, .. } => colors,
+        }
+    }
+
     /// Colour of voxel `y` (of this level) in run number `k` (from the top down) of column number `ix`. A voxel without
     /// a colour of its own (interior: the eye is inside it) takes that of the nearest exposed run.
     #[inline(always)]

@@ -11,8 +11,13 @@ use proptest::prelude::*;
 
 /// A height field `n` columns a side.
 fn field(n: u32, ny: u32, color: ColorMode, height: impl Fn(u32, u32) -> u32) -> Scene {
-    let mut columns = ColumnsBuilder::new(n, ny, n);
-    for (z, x) in (0..n).flat_map(|z| (0..n).map(move |x| (z, x))) {
+    oblong([n, ny, n], color, height)
+}
+
+/// A height field of `nx` by `nz` columns.
+fn oblong([nx, ny, nz]: [u32; 3], color: ColorMode, height: impl Fn(u32, u32) -> u32) -> Scene {
+    let mut columns = ColumnsBuilder::new(nx, ny, nz);
+    for (z, x) in (0..nz).flat_map(|z| (0..nx).map(move |x| (z, x))) {
         if let Some(last) = height(x, z).min(ny).checked_sub(1) {
             columns.push_run(Run::new(0, last as u16));
         }
@@ -140,6 +145,24 @@ fn specialize_comparison_finds_a_column_that_is_one_voxel_higher() {
     assert!(used.has(Feature::Horizon) && differs.is_some_and(|text| text.contains("sample")));
 }
 
+/// Planes whose sight lines hardly tell one slope from another: looking up past the vertical from a corner of the grid.
+#[test]
+fn specialize_draws_the_same_bits_where_a_plane_is_seen_along_itself() {
+    let world =
+        field(24, 30, ColorMode::Voxel, |x, z| if (x * 7 + z * 3) % 7 == 0 { 0 } else { 1 + (x * 5 + z * 11) % 28 });
+    let (general, special) = (Resident::with(&world, Features::NONE), Resident::new(&world));
+    let pair = [(&general, Features::NONE), (&special, Features::ALL)];
+    for (yaw, pitch) in
+        (0..72).flat_map(|k| (0..40).map(move |i| (5.0 * f64::from(k) + 0.37, 70.0 + 0.5 * f64::from(i))))
+    {
+        let eye = DVec3::new(2.0, 1e-5, 21.0);
+        let camera = Camera { eye, yaw, pitch, roll: 0.0, fov: 70.0, width: 1, height: 7 };
+        let (used, differs) = compare::<f32>(pair, &camera, &options()[0], true);
+        assert!(used.has(Feature::Horizon));
+        assert_eq!(differs, None, "{camera:?}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
@@ -167,6 +190,43 @@ proptest! {
         let pair = [(&general, Features::NONE), (&special, Features::ALL)];
         let (used, differs) = compare::<f32>(pair, &camera, &options()[which], true);
         prop_assert!(used.has(Feature::Heights));
+        prop_assert_eq!(differs, None);
+    }
+
+    /// Oblong worlds wider than blocks and not of whole ones, seen from within and from far outside, as they are and tiled
+    /// far away, with few levels and with many.
+    #[test]
+    fn specialize_draws_the_same_bits_over_wide_ground(
+        seed in any::<u32>(),
+        (nx, nz) in (1u32..150, 1u32..150),
+        (rough, pit) in (1u32..40, 0u32..3),
+        at in [-0.8..1.8f64, 0.0..2.5f64, -0.8..1.8f64],
+        away in prop_oneof![Just(0.0), -1e5..1e5f64],
+        (yaw, pitch, roll) in (prop_oneof![0.0..360.0f64, (0u32..8).prop_map(|k| 45.0 * f64::from(k))],
+            prop_oneof![Just(0.0), -90.0..90.0f64], prop_oneof![Just(0.0), -180.0..180.0f64]),
+        size in (1u32..70, 1u32..60),
+        (lod, distance) in (prop_oneof![Just(None), (0.5..8.0f64).prop_map(Some)], prop_oneof![100.0..3e3f64, 1e3..1e6f64]),
+        (along_x, along_z, double) in (any::<bool>(), any::<bool>(), any::<bool>()),
+    ) {
+        let noise = |x: u32, z: u32| (x.wrapping_mul(0x9E37_79B1) ^ z.wrapping_mul(0x85EB_CA77) ^ seed).wrapping_mul(0xC2B2_AE35) >> 16;
+        let world = oblong([nx, 90, nz], ColorMode::Voxel, |x, z| {
+            let n = noise(x, z);
+            if n % 19 < pit { 0 } else { 1 + noise(x / 16, z / 16) % 50 + n % rough }
+        });
+        let repeat = Repeat { x: along_x, z: along_z };
+        let mut camera = camera(&world, at, yaw, pitch, roll);
+        (camera.width, camera.height) = size;
+        for (axis, repeats) in [(0, along_x), (2, along_z)] {
+            camera.eye[axis] += if repeats { away } else { 0.0 };
+        }
+        // Far views of few levels visit every column on the way.
+        let view_distance = if lod.is_some() { distance } else { distance.min(3e3) };
+        let options = Options { lod, repeat, view_distance, ..Options::default() };
+        let (general, special) = (Resident::with(&world, Features::NONE), Resident::new(&world));
+        let pair = [(&general, Features::NONE), (&special, Features::ALL)];
+        let (used, differs) =
+            if double { compare::<f64>(pair, &camera, &options, true) } else { compare::<f32>(pair, &camera, &options, false) };
+        prop_assert!(used.has(Feature::Horizon));
         prop_assert_eq!(differs, None);
     }
 }

@@ -9,19 +9,16 @@
 //! owns the samples whose centres lie in it, half-open, so neighbours neither overlap nor leave cracks. Points outside
 //! the plane's own window are clipped by comparing `h` with `slope · t`, before any division.
 //!
-//! **Ground.** Heights seen from above the ground's underside ([`Feature::Horizon`]) show nothing below what is nearer: the
-//! foot of a column lies below what the one before it reaches. So the window's lower end alone tells whether a column shows,
-//! and there are no bits, no center and no bottom faces. Where a foot does show (the first column of a world seen from
-//! outside) what is open below it stays open: beneath the ground nothing follows. That holds but for rounding; the walk looks
-//! for feet that rounding puts lower, and for a second gap (behind empty columns), and goes on in the general way there, so
-//! that pictures are the same to the bit. Counters are not: what is not looked at is not counted.
+//! **Ground.** Heights seen from above the ground's underside ([`Feature::Horizon`]) are walked by the module
+//! `ground`.
 //!
 //! **Cull.** See [`Culling`]. All tests that reject are a sixteenth of a sample looser than the test that draws, far more
 //! than rounding takes, so that no combination of switches changes a picture.
 
+use super::ground;
 use crate::options::Culling;
 use crate::plane_setup::{Plane, Setup};
-use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, Table, UNPAINTED, nearest_exposed};
+use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
 use crate::specialize::{Feature, Features, Specialization};
 use planecast_encoder::Run;
 use rayon::prelude::*;
@@ -123,7 +120,7 @@ pub struct PlaneBuffer {
 }
 
 /// Samples that short spans are written by at once.
-const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 
 /// No voxel.
 pub const SKY: [i32; 4] = [-1; 4];
@@ -204,7 +201,8 @@ pub fn traverse_with<R: Real>(
         let n = task.depth.len() / task.planes.len();
         let mut counters = Counters::default();
         let sight = Sight { depth_t: Vec::new(), slope: Vec::new(), depth_h: Vec::new() };
-        let mut scratch = Scratch { open: Vec::new(), skip: Vec::new(), sight };
+        let walk = WalkScratch { open: Vec::new(), skip: Vec::new(), sight };
+        let mut scratch = Scratch { walk, ground: ground::Scratch::default() };
         for (k, plane) in task.planes.iter().enumerate() {
             let at = k * n..(k + 1) * n;
             let color = if colors { &mut task.color[at.clone()] } else { &mut [][..] };
@@ -225,64 +223,73 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) ->
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         // SAFETY: `has_avx2` has seen that the processor can.
-        return unsafe { traverse_one_avx2::<R>(task, scratch) };
+        return unsafe {
+            if task.ground { ground_one_avx2::<R>(task, scratch) } else { traverse_one_avx2::<R>(task, scratch) }
+        };
     }
     let _ = avx2;
-    traverse_one::<R>(task, scratch)
+    if task.ground { ground_one::<R>(task, scratch) } else { traverse_one::<R>(task, scratch) }
+}
+
+#[inline(always)]
+fn ground_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
+    if task.voxel.is_empty() { ground::walk::<R, false>(task, scratch) } else { ground::walk::<R, true>(task, scratch) }
 }
 
 /// Memory that a task's planes share one after the other.
-struct Scratch<R> {
-    open: Vec<u64>,
-    skip: Vec<u32>,
-    sight: Sight<R>,
+pub(super) struct Scratch<R> {
+    pub(super) walk: WalkScratch<R>,
+    pub(super) ground: ground::Scratch<R>,
+}
+
+/// What [`Walk`] takes of it.
+pub(super) struct WalkScratch<R> {
+    pub(super) open: Vec<u64>,
+    pub(super) skip: Vec<u32>,
+    pub(super) sight: Sight<R>,
 }
 
 /// The samples' sight lines: the directions `(t, h)` through their centres, which have depth Δ.
-struct Sight<R> {
+pub(super) struct Sight<R> {
     /// `Δ / t`: depth a unit of horizontal distance.
-    depth_t: Vec<R>,
+    pub(super) depth_t: Vec<R>,
     /// `h / t`.
-    slope: Vec<R>,
+    pub(super) slope: Vec<R>,
     /// `|Δ / h|`: depth a unit of height.
-    depth_h: Vec<R>,
+    pub(super) depth_h: Vec<R>,
 }
 
 /// One plane's inputs and outputs.
-struct Task1<'a> {
-    resident: &'a Resident,
-    setup: &'a Setup,
-    plane: &'a Plane,
-    culling: Culling,
+pub(super) struct Task1<'a> {
+    pub(super) resident: &'a Resident,
+    pub(super) setup: &'a Setup,
+    pub(super) plane: &'a Plane,
+    pub(super) culling: Culling,
     /// Heights seen from above the ground.
-    ground: bool,
-    color: &'a mut [u32],
-    depth: &'a mut [f32],
-    voxel: &'a mut [[i32; 4]],
+    pub(super) ground: bool,
+    pub(super) color: &'a mut [u32],
+    pub(super) depth: &'a mut [f32],
+    pub(super) voxel: &'a mut [[i32; 4]],
 }
 
 #[inline(always)]
 fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     macro_rules! walk {
-        ($voxel:literal, $fast:literal, $ground:literal) => {
-            walk!($voxel, $fast, $ground, true)
-        };
-        ($voxel:literal, $fast:literal, $ground:literal, $color:literal) => {{
-            let mut walk = Walk::<R, $voxel, $fast, $ground, $color>::new(task, scratch);
-            walk.run();
+        ($voxel:literal, $fast:literal, $color:literal) => {{
+            let plane = task.plane;
+            let mut walk = Walk::<R, $voxel, $fast, $color>::new(task, &mut scratch.walk);
+            walk.run(Start::of(plane));
             walk.finish()
         }};
     }
     // All variants there are. Terms of tilted cameras, the seam of repeated worlds and the change of levels are met once a
     // span, a block or a level, not once a column, and have none.
-    match (task.voxel.is_empty(), task.culling == Culling::ALL, task.ground) {
-        (true, true, false) => walk!(false, true, false),
-        (true, true, true) => walk!(false, true, true),
-        (true, false, _) => walk!(false, false, false),
-        (false, true, false) if task.color.is_empty() => walk!(true, true, false, false),
-        (false, true, false) => walk!(true, true, false),
-        (false, true, true) => walk!(true, true, true),
-        (false, false, _) => walk!(true, false, false),
+    match (task.voxel.is_empty(), task.culling == Culling::ALL) {
+        (true, true) => walk!(false, true, true),
+        (true, false) => walk!(false, false, true),
+        (false, true) if task.color.is_empty() => walk!(true, true, false),
+        (false, true) => walk!(true, true, true),
+        (false, false) => walk!(true, false, true),
     }
 }
 
@@ -292,6 +299,13 @@ fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
 fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     traverse_one::<R>(task, scratch)
+}
+
+/// As [`traverse_one_avx2`].
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn ground_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
+    ground_one::<R>(task, scratch)
 }
 
 /// Whether the variants for AVX2 may be called.
@@ -304,6 +318,20 @@ pub fn has_avx2() -> bool {
         && is_x86_feature_detected!("popcnt");
     #[cfg(not(target_arch = "x86_64"))]
     return false;
+}
+
+/// Where a plane's walk begins or goes on: the distance, the level, and its column there.
+pub(super) struct Start<R> {
+    pub(super) t0: R,
+    pub(super) level: u32,
+    pub(super) cell: [i32; 2],
+}
+
+impl<R: Real> Start<R> {
+    pub(super) fn of(plane: &Plane) -> Self {
+        let level = plane.lod_first;
+        Start { t0: R::from_f64(plane.t_start), level, cell: plane.cell.map(|c| c >> level) }
+    }
 }
 
 /// Faces of a run, as drawn.
@@ -329,64 +357,55 @@ struct Drawn<R> {
 
 /// One plane on its way. Fields in this order: `s_lo` and `s_hi` are written one by one and read together, and side by side
 /// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for
-/// [`Culling::ALL`], so that the compiler drops the switches; `GROUND` for heights seen from above the ground, `COLOR`
-/// for planes that have colours.
+/// [`Culling::ALL`], so that the compiler drops the switches, `COLOR` for planes that have colours.
 #[repr(C)]
-struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const COLOR: bool> {
-    resident: &'a Resident,
-    setup: &'a Setup,
-    plane: &'a Plane,
-    culling: Culling,
-    a: R,
-    b: R,
-    c: R,
-    e: R,
-    delta: R,
-    eye_y: i32,
-    fract_y: R,
+pub(super) struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> {
+    pub(super) resident: &'a Resident,
+    pub(super) setup: &'a Setup,
+    pub(super) plane: &'a Plane,
+    pub(super) culling: Culling,
+    pub(super) a: R,
+    pub(super) b: R,
+    pub(super) c: R,
+    pub(super) e: R,
+    pub(super) delta: R,
+    pub(super) eye_y: i32,
+    pub(super) fract_y: R,
     /// More samples than any plane has.
-    limit: R,
+    pub(super) limit: R,
     /// The open window: samples, and slopes near its ends: of what stays below `s_lo` or above `s_hi`, no sample in it shows
     /// anything.
-    lo: i32,
-    hi: i32,
-    s_lo: R,
+    pub(super) lo: i32,
+    pub(super) hi: i32,
+    pub(super) s_lo: R,
     /// The center segment; empty where equal.
-    center: [i32; 2],
+    pub(super) center: [i32; 2],
     /// All samples outside `hull` and inside the open window are unfilled, whatever `open` says of those outside the window.
-    hull: [i32; 2],
+    pub(super) hull: [i32; 2],
     /// Unfilled samples left, where `lo` and `hi` do not tell.
-    left: i32,
+    pub(super) left: i32,
     /// One bit a sample, set while it is unfilled.
-    open: &'a mut [u64],
+    pub(super) open: &'a mut [u64],
     /// For a filled sample, one that may be unfilled, or a step towards it.
-    skip: &'a mut [u32],
+    pub(super) skip: &'a mut [u32],
     /// Sight lines of the samples.
-    sight: &'a mut Sight<R>,
-    color: &'a mut [u32],
-    s_hi: R,
-    depth: &'a mut [f32],
-    voxel: &'a mut [[i32; 4]],
+    pub(super) sight: &'a mut Sight<R>,
+    pub(super) color: &'a mut [u32],
+    pub(super) s_hi: R,
+    pub(super) depth: &'a mut [f32],
+    pub(super) voxel: &'a mut [[i32; 4]],
     /// What stays between these slopes shows nothing outside the center segment.
-    s_center: [R; 2],
-    /// Of walks over ground: whether the walk has gone over to the general way; the height of the ground's underside; and,
-    /// below a foot that showed, the open samples `gap`, none where equal, with the slope at their upper end.
-    general: bool,
-    foot: R,
-    gap: [i32; 2],
-    s_gap: R,
+    pub(super) s_center: [R; 2],
     /// Level and column of the run being drawn.
-    level: u32,
-    cell: [i32; 2],
-    counters: Counters,
+    pub(super) level: u32,
+    pub(super) cell: [i32; 2],
+    pub(super) counters: Counters,
 }
 
-impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const COLOR: bool>
-    Walk<'a, R, VOXEL, FAST, GROUND, COLOR>
-{
+impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'a, R, VOXEL, FAST, COLOR> {
     #[inline(always)]
-    fn new(task: Task1<'a>, scratch: &'a mut Scratch<R>) -> Self {
-        let Task1 { resident, setup, plane, culling, ground: _, color, depth, voxel } = task;
+    pub(super) fn new(task: Task1<'a>, scratch: &'a mut WalkScratch<R>) -> Self {
+        let Task1 { resident, setup, plane, culling, ground, color, depth, voxel } = task;
         let n = depth.len();
         scratch.open.clear();
         scratch.open.resize(n.div_ceil(64), 0);
@@ -397,7 +416,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
         }
         let Sight { depth_t, slope, depth_h } = &mut scratch.sight;
         for v in [depth_t, slope, depth_h] {
-            v.resize(n, R::ZERO);
+            v.resize(n + LANES, R::ZERO);
         }
         scratch.skip.clear();
         if !FAST {
@@ -431,30 +450,27 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             color,
             depth,
             voxel,
-            general: !GROUND,
-            foot: R::ZERO,
-            gap: [0; 2],
-            s_gap: R::ZERO,
             level: 0,
             cell: [0; 2],
             counters: Counters::default(),
         };
-        walk.foot = walk.height(0);
-        walk.look();
+        if !ground {
+            walk.look(walk.lo as usize..walk.hi as usize);
+        }
         walk.s_lo = walk.below(walk.lo);
         walk.s_hi = walk.above(walk.hi);
         walk
     }
 
-    /// Sight lines of all samples: here the divisions are, for whole vectors of samples at once.
+    /// Sight lines of some samples: here the divisions are, for whole vectors of samples at once.
     #[inline(always)]
-    fn look(&mut self) {
+    pub(super) fn look(&mut self, range: std::ops::Range<usize>) {
         let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
-        let range = self.lo as usize..self.hi as usize;
+        let first = range.start as i32;
         let Sight { depth_t, slope, depth_h } = &mut *self.sight;
         let sights = depth_t[range.clone()].iter_mut().zip(&mut slope[range.clone()]).zip(&mut depth_h[range]);
         for (i, ((depth_t, slope), depth_h)) in sights.enumerate() {
-            let u = R::from_i32(self.lo + i as i32);
+            let u = R::from_i32(first + i as i32);
             let (t, h) = (ray_t - u * self.e, ray_h + u * self.c);
             let t = if t > R::TINY { t } else { R::TINY };
             let up = if h.abs() > R::TINY { h.abs() } else { R::TINY };
@@ -464,20 +480,20 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
 
     /// Slope of the sight line between samples `j − 1` and `j`.
     #[inline(always)]
-    fn edge_slope(&self, j: i32) -> R {
+    pub(super) fn edge_slope(&self, j: i32) -> R {
         self.slope_at(R::from_i32(j))
     }
 
     /// Slope of a sight line a sixteenth of a sample below the centre of sample `j`: far more than rounding takes, so that
     /// what stays below shows in none from `j` on.
     #[inline(always)]
-    fn below(&self, j: i32) -> R {
+    pub(super) fn below(&self, j: i32) -> R {
         self.slope_at(R::from_i32(j) + R::BELOW_CENTRE)
     }
 
     /// Slope of a sight line as far above the centre of the sample before `j`: what stays above shows in none before `j`.
     #[inline(always)]
-    fn above(&self, j: i32) -> R {
+    pub(super) fn above(&self, j: i32) -> R {
         self.slope_at(R::from_i32(j) - R::BELOW_CENTRE)
     }
 
@@ -498,7 +514,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
 
     /// Slope of the sight line at place `u`.
     #[inline(always)]
-    fn slope_at(&self, u: R) -> R {
+    pub(super) fn slope_at(&self, u: R) -> R {
         let (t, h) = (self.b - u * self.e, u * self.c - self.a);
         let steep = if h < R::ZERO { R::ZERO - R::STEEP } else { R::STEEP };
         if t > R::ZERO { (h / t).min(R::STEEP).max(R::ZERO - R::STEEP) } else { steep }
@@ -506,13 +522,13 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
 
     /// Height above the eye of the face below voxel `y` of level 0.
     #[inline(always)]
-    fn height(&self, y: u32) -> R {
+    pub(super) fn height(&self, y: u32) -> R {
         R::from_i32(y as i32 - self.eye_y) - self.fract_y
     }
 
     /// What does not reach above this height shows nowhere between `t0` and `t1`.
     #[inline(always)]
-    fn lowest(&self, t0: R, t1: R) -> R {
+    pub(super) fn lowest(&self, t0: R, t1: R) -> R {
         let slope = self.low_slope();
         slope * if slope > R::ZERO { t0 } else { t1 }
     }
@@ -535,18 +551,23 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
     /// beyond the window's upper end is clipped by its slope: whatever its quotient, which may lie behind the camera, it is
     /// not used.
     #[inline(always)]
-    fn sample_above(&self, t: R, h: R) -> i32 {
-        let (lo, hi) = (self.lo, self.hi);
+    pub(super) fn sample_above(&self, t: R, h: R) -> i32 {
+        let inside = self.place(t, h).max(self.lo).min(self.hi);
+        if h >= self.high_slope() * t { self.hi } else { inside }
+    }
+
+    /// For a point in front of the camera, the first sample whose centre is at or above it.
+    #[inline(always)]
+    pub(super) fn place(&self, t: R, h: R) -> i32 {
         // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
         let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
         let whole = u.truncate(self.limit);
-        let inside = (whole - i32::from(R::from_i32(whole) == u)).max(lo).min(hi);
-        if h >= self.high_slope() * t { hi } else { inside }
+        whole - i32::from(R::from_i32(whole) == u)
     }
 
     /// The same for any point.
     #[inline(always)]
-    fn sample(&self, t: R, h: R) -> i32 {
+    pub(super) fn sample(&self, t: R, h: R) -> i32 {
         if h <= self.low_slope() * t { self.lo } else { self.sample_above(t, h) }
     }
 
@@ -557,7 +578,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
 
     /// Walks the plane until its window is closed or its world ends.
     #[inline(always)]
-    fn run(&mut self) {
+    pub(super) fn run(&mut self, from: Start<R>) {
         let plane = self.plane;
         let setup = self.setup;
         let dir = plane.dir.map(R::from_f64);
@@ -575,9 +596,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
             }
             (R::from_i32(line.wrapping_sub(eye[axis])) - fract[axis]) * inverse[axis]
         };
-        let (mut t0, t_end) = (R::from_f64(plane.t_start), R::from_f64(plane.t_end.min(1e17)));
-        let mut l = plane.lod_first;
-        let mut cell = plane.cell.map(|c| c >> l);
+        let t_end = R::from_f64(plane.t_end.min(1e17));
+        let Start { mut t0, level: mut l, mut cell } = from;
         let equidistant = R::from_f64(setup.equidistant.min(1e17));
 
         while l < setup.levels {
@@ -608,7 +628,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                 }
                 // Nothing left can come into the window.
                 if (FAST || self.culling.coarse)
-                    && ((self.s_lo > R::ZERO && self.s_lo * t0 >= top && self.gap_is_shut(t0))
+                    && ((self.s_lo > R::ZERO && self.s_lo * t0 >= top)
                         || (self.s_hi < R::ZERO && self.s_hi * t0 <= bottom))
                 {
                     return;
@@ -627,15 +647,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                     return;
                 }
                 // The block of columns that `cell` lies in, cut off where the world repeats.
-                let wrap = |axis: usize| match cell[axis] {
-                    c if (0..size[axis]).contains(&c) => c,
-                    c => c.rem_euclid(size[axis]),
-                };
-                let wrapped = if GROUND {
-                    [wrap(0), wrap(1)]
-                } else {
-                    [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])]
-                };
+                let wrapped = [cell[0].rem_euclid(size[0]), cell[1].rem_euclid(size[1])];
                 let mut stop = [0; 2];
                 for axis in 0..2 {
                     let w = wrapped[axis];
@@ -656,7 +668,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                     let t1 = t_exit.min(limit);
                     let (lo, hi) = (self.lowest(t0, t1), self.highest(t0, t1));
                     if bounds.0 == EMPTY
-                        || (self.height(bounds.end() << l) <= lo && self.gap_is_shut(t0))
+                        || self.height(bounds.end() << l) <= lo
                         || self.height(u32::from(bounds.first()) << l) >= hi
                     {
                         // The cell that stepping would have come to at `t`: estimated, then put right.
@@ -696,51 +708,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
                 let [mut x, mut z] = cell;
                 let (mut next_x, mut next_z) = (cross(0, (x + ahead[0]) << l), cross(1, (z + ahead[1]) << l));
                 let steps = [step[0] as isize, step[1] as isize * size[0] as isize];
-                if let (false, Table::Heights(heights)) = (!GROUND || self.general, &level.table) {
-                    // The crossings after the next, so that a step need not wait for one to be worked out.
-                    let at_x = |x: i32| (R::from_i32((x << l).wrapping_sub(eye[0])) - fract[0]) * inverse[0];
-                    let at_z = |z: i32| (R::from_i32((z << l).wrapping_sub(eye[1])) - fract[1]) * inverse[1];
-                    let ahead_2 = [ahead[0].wrapping_add(2 * step[0]), ahead[1].wrapping_add(2 * step[1])];
-                    let mut after_x = at_x(x.wrapping_add(ahead[0] + step[0]));
-                    let mut after_z = at_z(z.wrapping_add(ahead[1] + step[1]));
-                    let mut third_x = at_x(x.wrapping_add(ahead_2[0]));
-                    let mut third_z = at_z(z.wrapping_add(ahead_2[1]));
-                    let mut visited = 0;
-                    loop {
-                        let along_z = next_z < next_x;
-                        let t1 = if along_z { next_z } else { next_x }.min(limit);
-                        if t1 > t0 {
-                            let height = u32::from(heights[index as usize]);
-                            let top = self.height(height << l);
-                            visited += 1;
-                            if top > self.s_lo * if self.s_lo > R::ZERO { t0 } else { t1 } || !self.gap_is_shut(t0) {
-                                self.cell = [x, z];
-                                self.ground(level, l, index as usize, height, top, t0, t1);
-                                if self.closed() {
-                                    self.counters.columns_visited += visited;
-                                    return;
-                                }
-                            }
-                            t0 = t1;
-                        }
-                        if t0 >= limit {
-                            break;
-                        }
-                        x = x.wrapping_add(if along_z { 0 } else { step[0] });
-                        z = z.wrapping_add(if along_z { step[1] } else { 0 });
-                        if x == stop[0] || z == stop[1] || self.general {
-                            break;
-                        }
-                        index += if along_z { steps[1] } else { steps[0] };
-                        (next_x, after_x) = if along_z { (next_x, after_x) } else { (after_x, third_x) };
-                        (next_z, after_z) = if along_z { (after_z, third_z) } else { (next_z, after_z) };
-                        third_x = at_x(x.wrapping_add(ahead_2[0]));
-                        third_z = at_z(z.wrapping_add(ahead_2[1]));
-                    }
-                    self.counters.columns_visited += visited;
-                    cell = [x, z];
-                    continue;
-                }
                 // Both lines ahead, from the eye, and both crossings anew at each step: that is less than to choose between them.
                 let from_eye = |axis: usize, at: i32| ((at + ahead[axis]) << l).wrapping_sub(eye[axis]);
                 let (mut line_x, mut line_z) = (from_eye(0, x), from_eye(1, z));
@@ -821,152 +788,6 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
     #[inline(never)]
     fn column_apart(&mut self, level: &'a ResidentLevel, l: u32, column: usize, t0: R, t1: R) {
         self.column(level, l, column, t0, t1);
-    }
-
-    /// Of a walk over ground, whether no foot from `t0` on reaches into the gap.
-    #[inline(always)]
-    fn gap_is_shut(&self, t0: R) -> bool {
-        !GROUND || self.general || self.gap[0] == self.gap[1] || self.foot >= self.s_gap * t0
-    }
-
-    /// Draws a column of a walk over ground, `height` voxels of level `l` high, its top at `h1`.
-    #[expect(clippy::too_many_arguments, reason = "what the walk knows already")]
-    #[inline(always)]
-    fn ground(&mut self, level: &'a ResidentLevel, l: u32, column: usize, height: u32, h1: R, t0: R, t1: R) {
-        if height == 0 {
-            return;
-        }
-        let h0 = self.foot;
-        let (lo, hi) = (self.lo, self.hi);
-        let j0 = self.sample(t0, h0);
-        // The top is above `s_lo`, or the walk goes on in the general way.
-        let j1 = self.sample_above(if h1 <= R::ZERO { t1 } else { t0 }, h1);
-        let no_gap = self.gap[0] == self.gap[1];
-        if !self.gap_is_shut(t0) || (j0 < j1 && ((j0 > lo && (!no_gap || j1 == hi)) || (!no_gap && j1 == hi))) {
-            self.generalize();
-            self.column_apart(level, l, column, t0, t1);
-            return;
-        }
-        if j0 >= j1 {
-            return;
-        }
-        self.counters.runs_visited += 1;
-        self.counters.spans_drawn += 1;
-        let f1 = if h1 < R::ZERO { self.sample(t0, h1).max(j0).min(j1) } else { j1 };
-        if j0 > lo {
-            self.gap = [lo, j0];
-            self.s_gap = self.edge_slope(j0);
-        }
-        self.emit_ground(level, l, column, height, [h0, h1, t0], [j0, f1, j1].map(|j| j as usize));
-        self.lo = j1;
-        self.s_lo = self.below(j1);
-    }
-
-    /// Writes a column of ground: its front to samples `j0 .. f1`, its top to `f1 .. j1`, as [`Walk::emit`] would.
-    #[inline(always)]
-    fn emit_ground(
-        &mut self,
-        level: &'a ResidentLevel,
-        l: u32,
-        column: usize,
-        height: u32,
-        at: [R; 3],
-        to: [usize; 3],
-    ) {
-        let ([h0, h1, t0], [j0, f1, j1]) = (at, to);
-        let [x, z] = self.cell;
-        let top = height - 1;
-        // How far above the foot each sight line meets the front, in voxels of level 0.
-        let highest = R::from_i32((height << l) as i32 - 1);
-        let y = |slope: R| ((slope * t0 - h0).truncate(highest) as u32) >> l;
-        // The column's own colours, of its topmost voxels last, of voxel 0 first.
-        let own =
-            |colors: &'a [u32]| &colors[level.column_colors[column] as usize..level.column_colors[column + 1] as usize];
-        let color_of_top = || match &level.paint {
-            Paint::Voxel { colors, .. } => colors[level.column_colors[column + 1] as usize - 1],
-            paint => paint.color(column, 0, top),
-        };
-        if f1 - j0 <= LANES && j1 - f1 <= LANES && f1 + LANES <= self.hi as usize {
-            // As [`Walk::emit_short`] does.
-            let lanes = j0..j0 + LANES;
-            if j0 < f1 {
-                self.depth[lanes.clone()].copy_from_slice(&scaled(t0, &self.sight.depth_t[lanes.clone()]));
-                let mut ys = [0; LANES];
-                for (at, &slope) in ys.iter_mut().zip(&self.sight.slope[lanes.clone()]) {
-                    *at = y(slope);
-                }
-                let color = &mut self.color[lanes.clone()];
-                if let Paint::Voxel { colors, .. } = &level.paint {
-                    let own = own(colors);
-                    let hidden = height - own.len() as u32;
-                    for (c, y) in color.iter_mut().zip(ys) {
-                        *c = own[y.saturating_sub(hidden) as usize];
-                    }
-                } else {
-                    color.fill(color_of_top());
-                }
-                if VOXEL {
-                    for (v, y) in self.voxel[lanes].iter_mut().zip(ys) {
-                        *v = [x, y as i32, z, l as i32];
-                    }
-                }
-            }
-            let lanes = f1..f1 + LANES;
-            if f1 < j1 {
-                self.depth[lanes.clone()].copy_from_slice(&scaled(h1.abs(), &self.sight.depth_h[lanes.clone()]));
-                self.color[lanes.clone()].fill(color_of_top());
-                if VOXEL {
-                    self.voxel[lanes].fill([x, top as i32, z, l as i32]);
-                }
-            }
-            return;
-        }
-        let (depth_t, slope) = (&self.sight.depth_t[j0..f1], &self.sight.slope[j0..f1]);
-        let color = &mut self.color[j0..j1];
-        let depth = &mut self.depth[j0..j1];
-        let n = f1 - j0;
-        if let Paint::Voxel { colors, .. } = &level.paint {
-            let own = own(colors);
-            let hidden = height as usize - own.len();
-            for (c, &s) in color[..n].iter_mut().zip(slope) {
-                *c = own[(y(s) as usize).saturating_sub(hidden)];
-            }
-            color[n..].fill(color_of_top());
-        } else {
-            color.fill(color_of_top());
-        }
-        for (z, &s) in depth[..n].iter_mut().zip(depth_t) {
-            *z = (t0 * s).to_f32();
-        }
-        let up = h1.abs();
-        for (z, &s) in depth[n..].iter_mut().zip(&self.sight.depth_h[f1..j1]) {
-            *z = (up * s).to_f32();
-        }
-        if VOXEL {
-            for (v, &s) in self.voxel[j0..f1].iter_mut().zip(slope) {
-                *v = [x, y(s) as i32, z, l as i32];
-            }
-            self.voxel[f1..j1].fill([x, top as i32, z, l as i32]);
-        }
-    }
-
-    /// Goes over to the general way: what a walk over ground knows by its window's lower end, as bits, hull and center.
-    #[cold]
-    #[inline(never)]
-    fn generalize(&mut self) {
-        self.general = true;
-        let [from, to] = self.gap;
-        if from == to {
-            return;
-        }
-        for w in to as usize / 64..(self.lo as usize).div_ceil(64) {
-            let filled =
-                low_bits((self.lo as usize - 64 * w).min(64)) & !low_bits((to as usize).saturating_sub(64 * w).min(64));
-            self.open[w] &= !filled;
-        }
-        (self.hull, self.center) = ([to, self.lo], [to, self.lo]);
-        self.s_center = [self.above(to), self.s_lo];
-        (self.lo, self.s_lo) = (from, self.below(from));
     }
 
     /// Looks at one column between `t0` and `t1`.
@@ -1418,10 +1239,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const GROUND: bool, const
 
     /// What is still unfilled shows the sky.
     #[inline(always)]
-    fn finish(mut self) -> Counters {
-        if GROUND && !self.general {
-            self.generalize();
-        }
+    pub(super) fn finish(self) -> Counters {
         let (lo, hi) = (self.lo.min(self.hi) as usize, self.hi as usize);
         for (w, &open) in self.open.iter().enumerate() {
             // Bits outside the window are out of date: the window's ends moved over those samples because they are filled.
@@ -1470,7 +1288,7 @@ impl Exposed {
 /// `by` times each of [`LANES`] numbers. Through an array of its own: where they are written could be where they are read,
 /// as far as a compiler knows, and one after the other they would cost four times as much.
 #[inline(always)]
-fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
+pub(super) fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
     let mut scaled = [0.0; LANES];
     for (z, &s) in scaled.iter_mut().zip(&lanes[..LANES]) {
         *z = (by * s).to_f32();
@@ -1480,6 +1298,6 @@ fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
 
 /// The lowest `n` bits, 0 to 64.
 #[inline(always)]
-fn low_bits(n: usize) -> u64 {
+pub(super) fn low_bits(n: usize) -> u64 {
     if n >= 64 { !0 } else { (1 << n) - 1 }
 }
