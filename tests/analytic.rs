@@ -5,7 +5,7 @@ mod common;
 use common::compare::sane;
 use common::{World, camera, color_of, empty, plain};
 use glam::DVec3;
-use planecast::{Camera, Options, Remap, Repeat, Shading};
+use planecast::{Camera, Features, Options, Remap, Repeat, Shading};
 use planecast_encoder::{BuildOptions, ColorMode, Encoding};
 
 const SKY: [i32; 4] = [-1; 4];
@@ -150,13 +150,16 @@ fn one_voxel_covers_focal_over_distance_pixels() {
 fn wall_fills_the_view_and_ends_each_plane() {
     let world = World::new("wall", [64, 64, 64], |_, _, z| z < 40);
     let camera = camera(DVec3::new(32.5, 32.5, 43.25), [0.0; 3], [90, 70]);
-    let frame = world.render(&camera, &plain());
-    assert!(frame.depth.iter().all(|&d| close(d, 3.25)));
-    assert!(frame.voxel.iter().all(|v| v[2] == 39));
-    // 4 rows of columns, in each at most the columns across which a plane moves, and one more.
+    // 4 rows of columns, in each at most the columns across which a plane moves, and one more. Over ground whole strips of 8
+    // slices, each one column or two.
     let across = (3.25 * camera.half_extent().x).ceil() as u64;
-    assert!(frame.stats.columns_visited <= 90 * (4 + across + 1), "{} columns", frame.stats.columns_visited);
-    assert!(frame.stats.spans_drawn <= 2 * 90, "{} spans", frame.stats.spans_drawn);
+    for (specialize, most) in [(Features::NONE, 4 + across + 1), (Features::ALL, 16)] {
+        let frame = world.render(&camera, &Options { specialize, ..plain() });
+        assert!(frame.depth.iter().all(|&d| close(d, 3.25)));
+        assert!(frame.voxel.iter().all(|v| v[2] == 39));
+        assert!(frame.stats.columns_visited <= 90 * most, "{} columns", frame.stats.columns_visited);
+        assert!(frame.stats.spans_drawn <= 2 * 90, "{} spans", frame.stats.spans_drawn);
+    }
 }
 
 #[test]

@@ -16,7 +16,7 @@
 //! Where a foot does show (the first column of a world seen from outside) what is open below it stays open: beneath the
 //! ground nothing follows. That holds but for rounding; the walk looks for feet that rounding puts lower, and for a second
 //! gap (behind empty columns), and goes on in the general way there. Counters are not those of the general walk: what is not
-//! looked at is not counted.
+//! looked at is not counted, and of a strip all that the plane passes is.
 //!
 //! [`Feature::Horizon`]: crate::specialize::Feature::Horizon
 
