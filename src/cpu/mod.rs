@@ -1,7 +1,6 @@
 //! The stages on the CPU, with rayon over planes or rows. Each has its GPU twin in `shaders/` under the same name.
 
 pub mod gap_fill;
-mod ground;
 pub mod refine;
 pub mod remap;
 pub mod shade;

@@ -15,7 +15,8 @@
 //! **Cull.** See [`Culling`]. All tests that reject are a sixteenth of a sample looser than the test that draws, far more
 //! than rounding takes, so that no combination of switches changes a picture.
 
-use super::ground;
+mod ground;
+
 use crate::options::Culling;
 use crate::plane_setup::{Plane, Setup};
 use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
@@ -120,7 +121,7 @@ pub struct PlaneBuffer {
 }
 
 /// Samples that short spans are written by at once.
-pub(super) const LANES: usize = 8;
+const LANES: usize = 8;
 
 /// No voxel.
 pub const SKY: [i32; 4] = [-1; 4];
@@ -237,39 +238,39 @@ fn ground_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
 }
 
 /// Memory that a task's planes share one after the other.
-pub(super) struct Scratch<R> {
-    pub(super) walk: WalkScratch<R>,
-    pub(super) ground: ground::Scratch<R>,
+struct Scratch<R> {
+    walk: WalkScratch<R>,
+    ground: ground::Scratch<R>,
 }
 
 /// What [`Walk`] takes of it.
-pub(super) struct WalkScratch<R> {
-    pub(super) open: Vec<u64>,
-    pub(super) skip: Vec<u32>,
-    pub(super) sight: Sight<R>,
+struct WalkScratch<R> {
+    open: Vec<u64>,
+    skip: Vec<u32>,
+    sight: Sight<R>,
 }
 
 /// The samples' sight lines: the directions `(t, h)` through their centres, which have depth Δ.
-pub(super) struct Sight<R> {
+struct Sight<R> {
     /// `Δ / t`: depth a unit of horizontal distance.
-    pub(super) depth_t: Vec<R>,
+    depth_t: Vec<R>,
     /// `h / t`.
-    pub(super) slope: Vec<R>,
+    slope: Vec<R>,
     /// `|Δ / h|`: depth a unit of height.
-    pub(super) depth_h: Vec<R>,
+    depth_h: Vec<R>,
 }
 
 /// One plane's inputs and outputs.
-pub(super) struct Task1<'a> {
-    pub(super) resident: &'a Resident,
-    pub(super) setup: &'a Setup,
-    pub(super) plane: &'a Plane,
-    pub(super) culling: Culling,
+struct Task1<'a> {
+    resident: &'a Resident,
+    setup: &'a Setup,
+    plane: &'a Plane,
+    culling: Culling,
     /// Heights seen from above the ground.
-    pub(super) ground: bool,
-    pub(super) color: &'a mut [u32],
-    pub(super) depth: &'a mut [f32],
-    pub(super) voxel: &'a mut [[i32; 4]],
+    ground: bool,
+    color: &'a mut [u32],
+    depth: &'a mut [f32],
+    voxel: &'a mut [[i32; 4]],
 }
 
 #[inline(always)]
@@ -321,14 +322,14 @@ pub fn has_avx2() -> bool {
 }
 
 /// Where a plane's walk begins or goes on: the distance, the level, and its column there.
-pub(super) struct Start<R> {
-    pub(super) t0: R,
-    pub(super) level: u32,
-    pub(super) cell: [i32; 2],
+struct Start<R> {
+    t0: R,
+    level: u32,
+    cell: [i32; 2],
 }
 
 impl<R: Real> Start<R> {
-    pub(super) fn of(plane: &Plane) -> Self {
+    fn of(plane: &Plane) -> Self {
         let level = plane.lod_first;
         Start { t0: R::from_f64(plane.t_start), level, cell: plane.cell.map(|c| c >> level) }
     }
@@ -359,52 +360,52 @@ struct Drawn<R> {
 /// a compiler would read them as one word, which then waits for both writes to reach the cache. `FAST` stands for
 /// [`Culling::ALL`], so that the compiler drops the switches, `COLOR` for planes that have colours.
 #[repr(C)]
-pub(super) struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> {
-    pub(super) resident: &'a Resident,
-    pub(super) setup: &'a Setup,
-    pub(super) plane: &'a Plane,
-    pub(super) culling: Culling,
-    pub(super) a: R,
-    pub(super) b: R,
-    pub(super) c: R,
-    pub(super) e: R,
-    pub(super) delta: R,
-    pub(super) eye_y: i32,
-    pub(super) fract_y: R,
+struct Walk<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> {
+    resident: &'a Resident,
+    setup: &'a Setup,
+    plane: &'a Plane,
+    culling: Culling,
+    a: R,
+    b: R,
+    c: R,
+    e: R,
+    delta: R,
+    eye_y: i32,
+    fract_y: R,
     /// More samples than any plane has.
-    pub(super) limit: R,
+    limit: R,
     /// The open window: samples, and slopes near its ends: of what stays below `s_lo` or above `s_hi`, no sample in it shows
     /// anything.
-    pub(super) lo: i32,
-    pub(super) hi: i32,
-    pub(super) s_lo: R,
+    lo: i32,
+    hi: i32,
+    s_lo: R,
     /// The center segment; empty where equal.
-    pub(super) center: [i32; 2],
+    center: [i32; 2],
     /// All samples outside `hull` and inside the open window are unfilled, whatever `open` says of those outside the window.
-    pub(super) hull: [i32; 2],
+    hull: [i32; 2],
     /// Unfilled samples left, where `lo` and `hi` do not tell.
-    pub(super) left: i32,
+    left: i32,
     /// One bit a sample, set while it is unfilled.
-    pub(super) open: &'a mut [u64],
+    open: &'a mut [u64],
     /// For a filled sample, one that may be unfilled, or a step towards it.
-    pub(super) skip: &'a mut [u32],
+    skip: &'a mut [u32],
     /// Sight lines of the samples.
-    pub(super) sight: &'a mut Sight<R>,
-    pub(super) color: &'a mut [u32],
-    pub(super) s_hi: R,
-    pub(super) depth: &'a mut [f32],
-    pub(super) voxel: &'a mut [[i32; 4]],
+    sight: &'a mut Sight<R>,
+    color: &'a mut [u32],
+    s_hi: R,
+    depth: &'a mut [f32],
+    voxel: &'a mut [[i32; 4]],
     /// What stays between these slopes shows nothing outside the center segment.
-    pub(super) s_center: [R; 2],
+    s_center: [R; 2],
     /// Level and column of the run being drawn.
-    pub(super) level: u32,
-    pub(super) cell: [i32; 2],
-    pub(super) counters: Counters,
+    level: u32,
+    cell: [i32; 2],
+    counters: Counters,
 }
 
 impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'a, R, VOXEL, FAST, COLOR> {
     #[inline(always)]
-    pub(super) fn new(task: Task1<'a>, scratch: &'a mut WalkScratch<R>) -> Self {
+    fn new(task: Task1<'a>, scratch: &'a mut WalkScratch<R>) -> Self {
         let Task1 { resident, setup, plane, culling, ground, color, depth, voxel } = task;
         let n = depth.len();
         scratch.open.clear();
@@ -464,7 +465,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
     /// Sight lines of some samples: here the divisions are, for whole vectors of samples at once.
     #[inline(always)]
-    pub(super) fn look(&mut self, range: std::ops::Range<usize>) {
+    fn look(&mut self, range: std::ops::Range<usize>) {
         let (ray_t, ray_h) = (self.b - R::HALF * self.e, R::HALF * self.c - self.a);
         let first = range.start as i32;
         let Sight { depth_t, slope, depth_h } = &mut *self.sight;
@@ -480,20 +481,20 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
     /// Slope of the sight line between samples `j − 1` and `j`.
     #[inline(always)]
-    pub(super) fn edge_slope(&self, j: i32) -> R {
+    fn edge_slope(&self, j: i32) -> R {
         self.slope_at(R::from_i32(j))
     }
 
     /// Slope of a sight line a sixteenth of a sample below the centre of sample `j`: far more than rounding takes, so that
     /// what stays below shows in none from `j` on.
     #[inline(always)]
-    pub(super) fn below(&self, j: i32) -> R {
+    fn below(&self, j: i32) -> R {
         self.slope_at(R::from_i32(j) + R::BELOW_CENTRE)
     }
 
     /// Slope of a sight line as far above the centre of the sample before `j`: what stays above shows in none before `j`.
     #[inline(always)]
-    pub(super) fn above(&self, j: i32) -> R {
+    fn above(&self, j: i32) -> R {
         self.slope_at(R::from_i32(j) - R::BELOW_CENTRE)
     }
 
@@ -514,7 +515,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
     /// Slope of the sight line at place `u`.
     #[inline(always)]
-    pub(super) fn slope_at(&self, u: R) -> R {
+    fn slope_at(&self, u: R) -> R {
         let (t, h) = (self.b - u * self.e, u * self.c - self.a);
         let steep = if h < R::ZERO { R::ZERO - R::STEEP } else { R::STEEP };
         if t > R::ZERO { (h / t).min(R::STEEP).max(R::ZERO - R::STEEP) } else { steep }
@@ -522,13 +523,13 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
     /// Height above the eye of the face below voxel `y` of level 0.
     #[inline(always)]
-    pub(super) fn height(&self, y: u32) -> R {
+    fn height(&self, y: u32) -> R {
         R::from_i32(y as i32 - self.eye_y) - self.fract_y
     }
 
     /// What does not reach above this height shows nowhere between `t0` and `t1`.
     #[inline(always)]
-    pub(super) fn lowest(&self, t0: R, t1: R) -> R {
+    fn lowest(&self, t0: R, t1: R) -> R {
         let slope = self.low_slope();
         slope * if slope > R::ZERO { t0 } else { t1 }
     }
@@ -551,14 +552,14 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
     /// beyond the window's upper end is clipped by its slope: whatever its quotient, which may lie behind the camera, it is
     /// not used.
     #[inline(always)]
-    pub(super) fn sample_above(&self, t: R, h: R) -> i32 {
+    fn sample_above(&self, t: R, h: R) -> i32 {
         let inside = self.place(t, h).max(self.lo).min(self.hi);
         if h >= self.high_slope() * t { self.hi } else { inside }
     }
 
     /// For a point in front of the camera, the first sample whose centre is at or above it.
     #[inline(always)]
-    pub(super) fn place(&self, t: R, h: R) -> i32 {
+    fn place(&self, t: R, h: R) -> i32 {
         // ⌈u − ½⌉ of a u above −½, as a whole part: u + ½ rounds down to it but where it is whole itself.
         let u = (self.a * t + self.b * h) / (self.c * t + self.e * h) + R::HALF;
         let whole = u.truncate(self.limit);
@@ -567,7 +568,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
     /// The same for any point.
     #[inline(always)]
-    pub(super) fn sample(&self, t: R, h: R) -> i32 {
+    fn sample(&self, t: R, h: R) -> i32 {
         if h <= self.low_slope() * t { self.lo } else { self.sample_above(t, h) }
     }
 
@@ -576,9 +577,28 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
         self.lo >= self.hi || (!FAST && self.left == 0)
     }
 
+    /// Where level `l` gives way to the next.
+    #[inline(always)]
+    fn next_level(&self, l: u32) -> R {
+        if l + 1 < self.setup.levels {
+            R::from_f64((self.plane.lod_t * f64::from(1u32 << (l + 1))).min(1e17))
+        } else {
+            R::STEEP
+        }
+    }
+
+    /// Between which heights level `l` and those that follow lie: a coarser one can reach beyond a finer.
+    #[inline(always)]
+    fn heights_from(&self, l: u32) -> (R, R) {
+        let left = (l..self.setup.levels).map(|k| (k, &self.resident.levels[k as usize]));
+        let (bottom, top) = left
+            .fold((u32::MAX, 0), |(bottom, top), (k, level)| (bottom.min(level.bottom << k), top.max(level.top << k)));
+        (self.height(bottom), self.height(top))
+    }
+
     /// Walks the plane until its window is closed or its world ends.
     #[inline(always)]
-    pub(super) fn run(&mut self, from: Start<R>) {
+    fn run(&mut self, from: Start<R>) {
         let plane = self.plane;
         let setup = self.setup;
         let dir = plane.dir.map(R::from_f64);
@@ -604,17 +624,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             let level = &self.resident.levels[l as usize];
             self.level = l;
             let size = [level.nx as i32, level.nz as i32];
-            let next_level = if l + 1 < setup.levels {
-                R::from_f64((plane.lod_t * f64::from(1u32 << (l + 1))).min(1e17))
-            } else {
-                R::STEEP
-            };
-            // Of this level and those that follow: a coarser one can reach beyond a finer.
-            let left = (l..setup.levels).map(|k| (k, &self.resident.levels[k as usize]));
-            let (bottom, top) = left.fold((u32::MAX, 0), |(bottom, top), (k, level)| {
-                (bottom.min(level.bottom << k), top.max(level.top << k))
-            });
-            let (bottom, top) = (self.height(bottom), self.height(top));
+            let next_level = self.next_level(l);
+            let (bottom, top) = self.heights_from(l);
             loop {
                 if t0 >= t_end || self.closed() {
                     return;
@@ -1239,7 +1250,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
     /// What is still unfilled shows the sky.
     #[inline(always)]
-    pub(super) fn finish(self) -> Counters {
+    fn finish(self) -> Counters {
         let (lo, hi) = (self.lo.min(self.hi) as usize, self.hi as usize);
         for (w, &open) in self.open.iter().enumerate() {
             // Bits outside the window are out of date: the window's ends moved over those samples because they are filled.
@@ -1288,7 +1299,7 @@ impl Exposed {
 /// `by` times each of [`LANES`] numbers. Through an array of its own: where they are written could be where they are read,
 /// as far as a compiler knows, and one after the other they would cost four times as much.
 #[inline(always)]
-pub(super) fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
+fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
     let mut scaled = [0.0; LANES];
     for (z, &s) in scaled.iter_mut().zip(&lanes[..LANES]) {
         *z = (by * s).to_f32();
@@ -1298,6 +1309,6 @@ pub(super) fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
 
 /// The lowest `n` bits, 0 to 64.
 #[inline(always)]
-pub(super) fn low_bits(n: usize) -> u64 {
+fn low_bits(n: usize) -> u64 {
     if n >= 64 { !0 } else { (1 << n) - 1 }
 }

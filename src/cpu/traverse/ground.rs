@@ -1,5 +1,5 @@
 //! Stage `traverse` over ground: heights seen from above the ground's underside ([`Feature::Horizon`]), the same picture as
-//! [`super::traverse`] draws, to the bit.
+//! [`super`] draws, to the bit.
 //!
 //! Heights seen so show nothing below what is nearer: the foot of a column lies below what the one before it reaches. So the
 //! window's lower end alone tells what a column shows, and there are no bits, no center and no bottom faces. What a
@@ -20,7 +20,7 @@
 //!
 //! [`Feature::Horizon`]: crate::specialize::Feature::Horizon
 
-use super::traverse::{Counters, LANES as FILL, Real, SKY, Start, Task1, Walk, low_bits, scaled};
+use super::{Counters, LANES as FILL, Real, SKY, Start, Task1, Walk, low_bits, scaled};
 use crate::resident::{BLOCK_SHIFT, Paint, ResidentLevel, Table};
 use planecast_encoder::Run;
 
@@ -57,7 +57,6 @@ struct Samples {
 }
 
 /// A column that shows.
-#[derive(Clone, Copy)]
 struct Item<R> {
     column: u32,
     height: u32,
@@ -275,9 +274,9 @@ struct Ground<'a, R: Real, const VOXEL: bool> {
 
 /// Walks one plane.
 #[inline(always)]
-pub(super) fn walk<R: Real, const VOXEL: bool>(task: Task1<'_>, scratch: &mut super::traverse::Scratch<R>) -> Counters {
+pub(super) fn walk<R: Real, const VOXEL: bool>(task: Task1<'_>, scratch: &mut super::Scratch<R>) -> Counters {
     let n = task.depth.len();
-    let super::traverse::Scratch { walk, ground: Scratch { items, samples } } = scratch;
+    let super::Scratch { walk, ground: Scratch { items, samples } } = scratch;
     let walk = Walk::<R, VOXEL, true, true>::new(task, walk);
     items.clear();
     samples.depth.resize(n + FILL, 0.0);
@@ -330,18 +329,8 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
             let Table::Heights(heights) = &level.table else { unreachable!("ground has heights") };
             grid.level = l;
             grid.size = [level.nx as i32, level.nz as i32];
-            let next_level = if l + 1 < setup.levels {
-                R::from_f64((plane.lod_t * f64::from(1u32 << (l + 1))).min(1e17))
-            } else {
-                R::STEEP
-            };
-            // Of this level and those that follow: a coarser one can reach beyond a finer.
-            let left = (l..setup.levels).map(|k| (k, &self.walk.resident.levels[k as usize]));
-            let (bottom, top) = left.fold((u32::MAX, 0), |(bottom, top), (k, level)| {
-                (bottom.min(level.bottom << k), top.max(level.top << k))
-            });
-            let (bottom, top) = (self.walk.height(bottom), self.walk.height(top));
-            let limit = t_end.min(next_level);
+            let (bottom, top) = self.walk.heights_from(l);
+            let limit = t_end.min(self.walk.next_level(l));
             let block_row = (level.nx as usize).div_ceil(SLICES);
             loop {
                 let (lo, hi) = (self.walk.lo, self.walk.hi);
@@ -377,7 +366,6 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
                     let end = grid.reached(minor, t_stop, cell[minor], n + 1);
                     let end_wrapped = wrapped[minor] + (end - cell[minor]);
                     let whole = (0..grid.size[minor]).contains(&end_wrapped);
-                    let lowest = s_lo * if s_lo > R::ZERO { t0 } else { t_stop };
                     if whole && self.gap_is_shut(t0) {
                         let block = |at: i32| {
                             let (x, z) = if major == 0 { (wrapped[0], at) } else { (at, wrapped[1]) };
@@ -385,7 +373,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
                             Run(level.blocks[block]).end()
                         };
                         let height = block(wrapped[minor]).max(block(end_wrapped));
-                        if self.walk.height(height << l) <= lowest {
+                        if self.walk.height(height << l) <= self.walk.lowest(t0, t_stop) {
                             cell[minor] = end;
                             cell[major] = stop;
                             t0 = t_stop;
@@ -441,15 +429,17 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
         t0: R,
         t1: R,
     ) -> Option<usize> {
+        let passed: i32 = (0..LANES).map(|i| i32::from(strip.t1[i] > strip.t0[i])).sum();
+        self.walk.counters.columns_visited += passed as u64;
         let walk = &self.walk;
         let (lo, hi, s_lo, s_hi) = (walk.lo, walk.hi, walk.s_lo, walk.s_hi);
         let (eye_y, fract_y) = (walk.eye_y, walk.fract_y);
-        let (a, b, c, e, limit) = (walk.a, walk.b, walk.c, walk.e, walk.limit);
         let mut shape = Shape { height: [0; LANES], top: [R::ZERO; LANES], front: [0; LANES], end: [0; LANES] };
         for (height, &column) in shape.height.iter_mut().zip(&strip.column) {
             *height = i32::from(heights[column as usize]);
         }
-        // As [`Walk::sample`].
+        let (a, b, c, e, limit) = (walk.a, walk.b, walk.c, walk.e, walk.limit);
+        // [`Walk::sample`] once more, of numbers that are read once: only so are lanes taken side by side.
         let sample = |t: R, h: R| {
             let u = (a * t + b * h) / (c * t + e * h) + R::HALF;
             let whole = u.truncate(limit);
@@ -458,7 +448,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
             if h <= s_lo * t { lo } else { inside }
         };
         let (foot, s_highest) = (self.foot, if s_hi < R::ZERO { s_hi } else { R::ZERO });
-        let (mut highest, mut columns) = (lo, 0);
+        let mut highest = lo;
         for i in 0..LANES {
             let (t0, t1, height) = (strip.t0[i], strip.t1[i], shape.height[i]);
             let top = R::from_i32((height << l) - eye_y) - fract_y;
@@ -470,10 +460,8 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
             shape.top[i] = top;
             shape.end[i] = if height > 0 { end } else { lo };
             highest = highest.max(shape.end[i]);
-            columns += i32::from(t1 > t0);
         }
-        self.walk.counters.columns_visited += columns as u64;
-        let careful = !(self.gap_is_shut(t0) && self.foot <= s_lo * if s_lo > R::ZERO { t0 } else { t1 });
+        let careful = !self.gap_is_shut(t0) || self.foot > self.walk.lowest(t0, t1);
         if careful && !self.feet_are_hidden(strip, &shape) {
             return self.one_by_one(level, l, strip, &shape);
         }
@@ -596,10 +584,6 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
     fn paint(&mut self, level: &ResidentLevel, l: u32) {
         let range = self.painted as usize..self.walk.lo as usize;
         self.painted = self.walk.lo;
-        if range.is_empty() {
-            self.items.clear();
-            return;
-        }
         self.walk.look(range.clone());
         self.walk.counters.runs_visited += self.items.len() as u64;
         self.walk.counters.spans_drawn += self.items.len() as u64;
@@ -621,6 +605,8 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
             prefetch(colors, of_top as usize);
             let highest = R::from_i32((item.height << l) as i32 - 1);
             let [from, turn, to] = item.at.map(|j| j as usize);
+            // Each loop writes once even where there is no sample, so that no branch hangs on whether there is. They are written
+            // out: as one function that takes closures, views took up to half longer.
             let mut at = from;
             loop {
                 let lanes = at..at + FILL;
