@@ -52,6 +52,15 @@ pub trait Real:
     fn to_f32(self) -> f32;
     /// The whole part, of numbers brought into `0 ..= top` first (NaN to 0); `top` is below 2³¹.
     fn truncate(self, top: Self) -> i32;
+    /// [`traverse_with`]: a function of the type, so that it is compiled here and not again in each crate that calls it.
+    fn traverse(
+        resident: &Resident,
+        setup: &Setup,
+        culling: Culling,
+        specialization: Specialization,
+        buffer: &mut PlaneBuffer,
+        voxels: bool,
+    ) -> Counters;
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         if other < self { other } else { self }
@@ -102,6 +111,16 @@ macro_rules! real {
                 let v = if v < top { v } else { top };
                 // SAFETY: v is in 0 ..= top, and top is below 2³¹. The checked cast keeps loops from being vectorised.
                 unsafe { v.to_int_unchecked::<i32>() }
+            }
+            fn traverse(
+                resident: &Resident,
+                setup: &Setup,
+                culling: Culling,
+                specialization: Specialization,
+                buffer: &mut PlaneBuffer,
+                voxels: bool,
+            ) -> Counters {
+                traverse_planes::<$t>(resident, setup, culling, specialization, buffer, voxels)
             }
         }
     };
@@ -163,6 +182,17 @@ pub fn traverse<R: Real>(
 /// The same picture without what the frame does not need. With [`Feature::LateColor`] and `voxels` the buffer has no
 /// colours: they are [`crate::cpu::remap::color_of`] the voxels. Over ground it has them.
 pub fn traverse_with<R: Real>(
+    resident: &Resident,
+    setup: &Setup,
+    culling: Culling,
+    specialization: Specialization,
+    buffer: &mut PlaneBuffer,
+    voxels: bool,
+) -> Counters {
+    R::traverse(resident, setup, culling, specialization, buffer, voxels)
+}
+
+fn traverse_planes<R: Real>(
     resident: &Resident,
     setup: &Setup,
     culling: Culling,
