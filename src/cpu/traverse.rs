@@ -341,6 +341,10 @@ fn ground_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counte
 
 /// Whether the variants for AVX2 may be called.
 pub fn has_avx2() -> bool {
+    #[cfg(test)]
+    if tests::WITHOUT_AVX2.get() {
+        return false;
+    }
     #[cfg(target_arch = "x86_64")]
     return is_x86_feature_detected!("avx2")
         && is_x86_feature_detected!("bmi1")
@@ -1341,4 +1345,79 @@ fn scaled<R: Real>(by: R, lanes: &[R]) -> [f32; LANES] {
 #[inline(always)]
 fn low_bits(n: usize) -> u64 {
     if n >= 64 { !0 } else { (1 << n) - 1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::has_avx2;
+    use crate::{Camera, CpuRenderer, Feature, Features, Frame, Options, Outputs, Remap, Resident};
+    use glam::DVec3;
+    use planecast_encoder::features::Named;
+    use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
+    use std::cell::Cell;
+
+    thread_local! {
+        /// Whether frames that this thread asks for are drawn as on a processor without AVX2.
+        pub static WITHOUT_AVX2: Cell<bool> = const { Cell::new(false) };
+    }
+
+    /// What must be the same: work, picture, depth as bits, voxels.
+    type Drawn = ([u64; 3], Vec<[u8; 4]>, Vec<u32>, Vec<[i32; 4]>);
+
+    fn drawn(frame: Frame) -> Drawn {
+        let stats = &frame.stats;
+        let work = [stats.columns_visited, stats.runs_visited, stats.spans_drawn];
+        (work, frame.color, frame.depth.iter().map(|z| z.to_bits()).collect(), frame.voxel)
+    }
+
+    /// One with AVX2 runs code of its own, so that there no other test sees what one without runs.
+    #[test]
+    fn processors_with_avx2_and_without_draw_the_same_bits() {
+        if !has_avx2() {
+            println!("nothing compared: this processor has no AVX2");
+            return;
+        }
+        let hills = |x: u32, z: u32| 5 + (x * x + 3 * z) % 11 + if (x / 7 + z / 5).is_multiple_of(4) { 9 } else { 0 };
+        let ground = Columns::from_fn(96, 40, 80, |x, y, z| y < hills(x, z));
+        let caves = Columns::from_fn(64, 40, 64, |x, y, z| y < hills(x, z) && (x + 2 * y + z) % 11 > 1);
+        let mut over_ground = [0, 0];
+        for columns in [ground, caves] {
+            let colors = Colors::Function(Box::new(|x, y, z| [x as u8 * 2, y as u8 * 5, z as u8 * 3]));
+            let scene = build(Input { columns, colors, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+            let resident = Resident::new(&scene);
+            let mut renderer = CpuRenderer::new(&scene, &resident);
+            let mut draw = |without, camera: &Camera, options: &Options, outputs| {
+                WITHOUT_AVX2.set(without);
+                assert_eq!(has_avx2(), !without);
+                let frame = renderer.render(camera, options, outputs).unwrap();
+                WITHOUT_AVX2.set(false);
+                frame
+            };
+            for (eye, pitch, roll) in [([40.3, 27.2, 30.4], -8.0, 0.0), ([20.0, 90.0, 21.5], -60.0, 20.0)] {
+                let camera =
+                    Camera { eye: DVec3::from(eye), yaw: 33.0, pitch, roll, fov: 75.0, width: 117, height: 90 };
+                let turned = Camera { yaw: camera.yaw + 0.01, ..camera };
+                let [one, other] =
+                    [camera, turned].map(|camera| drawn(draw(false, &camera, &Options::default(), Outputs::default())));
+                assert!(one != other, "the comparison sees a hundredth of a degree");
+                for (remap, f64_traversal, specialize, voxel) in Remap::ALL.into_iter().flat_map(|remap| {
+                    [
+                        (remap, false, Features::ALL, false),
+                        (remap, false, Features::NONE, true),
+                        (remap, true, Features::ALL, true),
+                    ]
+                }) {
+                    let options = Options { remap, f64_traversal, specialize, ..Options::default() };
+                    let outputs = Outputs { voxel };
+                    let [with, without] = [false, true].map(|without| draw(without, &camera, &options, outputs));
+                    let left_out = with.stats.left_out.iter().any(|f| f.starts_with(Feature::Horizon.name()));
+                    over_ground[usize::from(left_out)] += 1;
+                    let (with, without) = (drawn(with), drawn(without));
+                    assert!(with.0[2] > 100, "spans drawn: {:?}", with.0);
+                    assert!(with == without, "{camera:?} {options:?}");
+                }
+            }
+        }
+        assert!(over_ground[0] > 0 && over_ground[1] > 0, "both walks were met: {over_ground:?}");
+    }
 }
