@@ -7,7 +7,7 @@
 //! the other stages.
 
 use glam::DVec3;
-use planecast::cpu::traverse::{PlaneBuffer, traverse_with};
+use planecast::cpu::traverse::{PlaneBuffer, Real};
 use planecast::plane_setup::plane_setup;
 use planecast::specialize::{Specialization, Twin};
 use planecast::{Camera, Features, Options, Repeat, Resident};
@@ -104,7 +104,7 @@ fn main() {
             let mut round = |i: usize| {
                 let start = Instant::now();
                 for (setup, features) in &frames[i] {
-                    traverse_with::<f32>(&residents[i], setup, options.culling, *features, &mut buffers[i], voxels);
+                    f32::traverse(&residents[i], setup, options.culling, *features, &mut buffers[i], voxels);
                 }
                 start.elapsed().as_secs_f64() * 1e3 / YAWS as f64
             };

@@ -2,8 +2,8 @@
 
 use crate::camera::Camera;
 use crate::clock::Instant;
-use crate::cpu::traverse::{Counters, PlaneBuffer, SKY};
-use crate::cpu::{gap_fill, refine, remap, shade, traverse};
+use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
+use crate::cpu::{gap_fill, refine, remap, shade};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
@@ -116,8 +116,7 @@ impl<'a> CpuRenderer<'a> {
         let at = Instant::now();
         let retest = setup.retests(camera, options);
         let voxels = outputs.voxel || retest;
-        let traverse =
-            if options.f64_traversal { traverse::traverse_with::<f64> } else { traverse::traverse_with::<f32> };
+        let traverse = if options.f64_traversal { f64::traverse } else { f32::traverse };
         let specialization = Specialization::new(self.resident, &setup, camera, options, Twin::Cpu);
         let counters = traverse(self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
         let traverse_ms = milliseconds(at);

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use planecast::cpu::remap::color_of;
-use planecast::cpu::traverse::{PlaneBuffer, Real, traverse, traverse_with};
+use planecast::cpu::traverse::{PlaneBuffer, Real, traverse};
 use planecast::plane_setup::plane_setup;
 use planecast::specialize::{Specialization, Twin};
 use planecast::{Camera, Feature, Features, Options, Repeat, Resident};
@@ -88,7 +88,7 @@ fn compare<R: Real>(
     let options = Options { specialize, ..*options };
     let setup = plane_setup(resident, camera, &options);
     let specialization = Specialization::new(resident, &setup, camera, &options, Twin::Cpu);
-    traverse_with::<R>(resident, &setup, options.culling, specialization, &mut found[1], voxels);
+    R::traverse(resident, &setup, options.culling, specialization, &mut found[1], voxels);
     let differs = setup.planes.iter().enumerate().find_map(|(k, plane)| {
         let (first, end) = (plane.base + plane.first as usize, plane.base + plane.end as usize);
         (first..end).find_map(|i| {

@@ -52,7 +52,9 @@ pub trait Real:
     fn to_f32(self) -> f32;
     /// The whole part, of numbers brought into `0 ..= top` first (NaN to 0); `top` is below 2³¹.
     fn truncate(self, top: Self) -> i32;
-    /// [`traverse_with`]: a function of the type, so that it is compiled here and not again in each crate that calls it.
+    /// As [`traverse()`], the same picture without what the frame does not need. With [`Feature::LateColor`] and `voxels` the
+    /// buffer has no colours: they are [`crate::cpu::remap::color_of`] the voxels. Over ground it has them.
+    // A function of the type is compiled here, not again in each crate that calls it.
     fn traverse(
         resident: &Resident,
         setup: &Setup,
@@ -176,20 +178,7 @@ pub fn traverse<R: Real>(
     buffer: &mut PlaneBuffer,
     voxels: bool,
 ) -> Counters {
-    traverse_with::<R>(resident, setup, culling, Specialization { features: Features::NONE }, buffer, voxels)
-}
-
-/// The same picture without what the frame does not need. With [`Feature::LateColor`] and `voxels` the buffer has no
-/// colours: they are [`crate::cpu::remap::color_of`] the voxels. Over ground it has them.
-pub fn traverse_with<R: Real>(
-    resident: &Resident,
-    setup: &Setup,
-    culling: Culling,
-    specialization: Specialization,
-    buffer: &mut PlaneBuffer,
-    voxels: bool,
-) -> Counters {
-    R::traverse(resident, setup, culling, specialization, buffer, voxels)
+    R::traverse(resident, setup, culling, Specialization { features: Features::NONE }, buffer, voxels)
 }
 
 fn traverse_planes<R: Real>(
