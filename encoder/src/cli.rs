@@ -68,6 +68,9 @@ pub struct EncodeArgs {
     /// What tiles may leave out that they do not need: auto (whatever it is), off, or some of heights, lists, tables, colors, packed
     #[arg(long, value_name = "off|FEATURE,...", default_value_t)]
     pub specialize: Features,
+    /// Say all that is known of how the input was read
+    #[arg(long)]
+    pub explain: bool,
     /// Only print what there is to do, as JSON: size, and number of tiles of level 0
     #[arg(long)]
     pub plan: bool,
@@ -108,7 +111,7 @@ impl EncodeArgs {
         let begun = Instant::now();
         let output = Output::new(output)?;
         let mut world = source::open_pieces(&self.input, &self.read)?;
-        world.notes().iter().for_each(|note| eprintln!("note: {note}"));
+        self.tell(&*world);
         if !world.colored() && matches!(self.color, Some(ColorMode::Run | ColorMode::Voxel)) {
             eprintln!("note: the input has no colours: all voxels are grey");
             world = Box::new(Grey(world));
@@ -130,6 +133,18 @@ impl EncodeArgs {
         output.finish()?;
         report(&summary, if self.tiles.is_some() { 0 } else { bytes }, begun);
         Ok(())
+    }
+
+    /// How the input was read, in a line or two; with `--explain`, and of readers that do not say it, all that is known.
+    fn tell(&self, world: &dyn Pieces) {
+        let about = world.about();
+        let known = !about.format.is_empty();
+        if known {
+            eprintln!("{about}");
+        }
+        if self.explain || !known {
+            world.notes().iter().for_each(|note| eprintln!("note: {note}"));
+        }
     }
 
     /// Of all that the scene depends on, as far as it is the same on every machine.

@@ -15,6 +15,7 @@
     allow(dead_code, reason = "a page reads scenes, and neither logs nor merges parts")
 )]
 
+pub mod about;
 pub mod arriving;
 pub mod build;
 #[cfg(not(target_arch = "wasm32"))]
@@ -53,6 +54,7 @@ pub mod write;
 #[cfg(test)]
 mod testing;
 
+pub use about::About;
 pub use arriving::ArrivingFile;
 pub use build::{BuildOptions, build};
 pub use columns::{Columns, ColumnsBuilder};

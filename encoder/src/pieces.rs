@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::build::UNCOLORED;
-use crate::{Colors, Columns, ColumnsBuilder, Input, Result, Rgb};
+use crate::{About, Colors, Columns, ColumnsBuilder, Input, Result, Rgb};
 
 /// A world that can be read in pieces, in any order, by several threads.
 pub trait Pieces: Send + Sync {
@@ -16,6 +16,11 @@ pub trait Pieces: Send + Sync {
 
     /// Facts a person should be told about the reading.
     fn notes(&self) -> &[String];
+
+    /// What the input is, and how it was read; nothing is known of worlds made in memory.
+    fn about(&self) -> About {
+        About::default()
+    }
 
     /// The columns `xs × zs` as a world of their own, with colours where there are any.
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input>;
@@ -42,11 +47,17 @@ pub fn whole(pieces: &dyn Pieces) -> Result<Input> {
 /// A world in memory, cut into pieces.
 pub struct InMemory {
     input: Arc<Input>,
+    about: About,
 }
 
 impl InMemory {
     pub fn new(input: Input) -> InMemory {
-        InMemory { input: Arc::new(input) }
+        InMemory { input: Arc::new(input), about: About::default() }
+    }
+
+    /// The same, of which this is known.
+    pub fn about(self, about: About) -> InMemory {
+        InMemory { about, ..self }
     }
 }
 
@@ -61,6 +72,10 @@ impl Pieces for InMemory {
 
     fn notes(&self) -> &[String] {
         &self.input.notes
+    }
+
+    fn about(&self) -> About {
+        self.about.clone()
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
@@ -117,6 +132,7 @@ pub struct Rows {
     pub row: Box<RowFn>,
     pub color: RowColors,
     pub notes: Vec<String>,
+    pub about: About,
     pub input_bytes: u64,
 }
 
@@ -131,6 +147,10 @@ impl Pieces for Rows {
 
     fn notes(&self) -> &[String] {
         &self.notes
+    }
+
+    fn about(&self) -> About {
+        self.about.clone()
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
@@ -171,6 +191,10 @@ impl Pieces for Grey {
 
     fn notes(&self) -> &[String] {
         self.0.notes()
+    }
+
+    fn about(&self) -> About {
+        self.0.about()
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {

@@ -24,7 +24,7 @@ use super::heights::Heights;
 use super::pixels::{Pixels, Png, Stream, stream};
 use super::{ReadOptions, guarded, map, world_dims};
 use crate::pieces::{ColumnColorsFn, RowColors, Rows};
-use crate::{ColumnsBuilder, Error, Result, Run};
+use crate::{About, ColumnsBuilder, Error, Result, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not
 /// worth asking memory for.
@@ -190,7 +190,7 @@ fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<R
         }
         Ok(())
     };
-    Ok(Rows { dims, row: Box::new(row), color, notes, input_bytes })
+    Ok(Rows { dims, row: Box::new(row), color, notes, about: About::default(), input_bytes })
 }
 
 /// Decodes an image after checking what it claims against the bytes there are.

@@ -20,7 +20,7 @@ use super::heights::Heights;
 use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
 use crate::pieces::Pieces;
 use crate::scratch::{self, File, read_at};
-use crate::{Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
+use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
 
 /// Bytes of a NIfTI-1 header.
 pub(super) const NIFTI_HEADER: u64 = 348;
@@ -651,6 +651,7 @@ pub(super) struct Volume<'a> {
     /// Whether world z runs against its axis.
     flip_z: bool,
     pub(super) notes: Vec<String>,
+    pub(super) about: About,
 }
 
 impl<'a> Volume<'a> {
@@ -678,7 +679,7 @@ impl<'a> Volume<'a> {
         };
         let Stored { dims: [x, y, z], z_fastest, data, notes, .. } = stored;
         let (stored, axes) = if z_fastest { ([z, y, x], axes.map(|a| 2 - a)) } else { ([x, y, z], axes) };
-        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes })
+        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about: About::default() })
     }
 
     /// Of values that were unpacked into a file, in this machine's byte order.
@@ -696,9 +697,9 @@ impl<'a> Volume<'a> {
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
     pub(super) fn in_file(self, path: &Path, whole: &[u8]) -> Result<Volume<'static>> {
-        let Volume { stored, size, data, masks, dims, axes, flip_z, notes } = self;
+        let Volume { stored, size, data, masks, dims, axes, flip_z, notes, about } = self;
         let data = data.in_file(path, whole)?;
-        Ok(Volume { stored, size, data, masks, dims, axes, flip_z, notes })
+        Ok(Volume { stored, size, data, masks, dims, axes, flip_z, notes, about })
     }
 
     /// Values `us` of row `v` of slice `w`, in the file's order.
@@ -824,6 +825,10 @@ impl Pieces for Volume<'_> {
 
     fn notes(&self) -> &[String] {
         &self.notes
+    }
+
+    fn about(&self) -> About {
+        self.about.clone()
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::pieces::{RowColors, Rows};
-use crate::{ColumnsBuilder, Error, Result, Run};
+use crate::{About, ColumnsBuilder, Error, Result, Run};
 
 /// 2,187 a side, 1.28 billion voxels.
 pub const MAX_LEVEL: u32 = 7;
@@ -35,6 +35,7 @@ pub fn make(size: u32) -> Result<Rows> {
         row: Box::new(row),
         color: RowColors::Voxel(Arc::new(color)),
         notes: Vec::new(),
+        about: About::default(),
         input_bytes: 0,
     })
 }

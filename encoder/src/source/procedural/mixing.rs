@@ -8,7 +8,7 @@ use super::blend;
 use super::noise::{Field, Octaves, sub_seed};
 use super::push_solid;
 use crate::pieces::{RowColors, Rows};
-use crate::{ColumnsBuilder, Rgb};
+use crate::{About, ColumnsBuilder, Rgb};
 
 /// Half the height of the layer, as a part of the cube's side.
 const HALF_LAYER: f32 = 0.27;
@@ -74,6 +74,7 @@ pub fn make(size: u32, seed: u64) -> Rows {
         row: Box::new(row),
         color: RowColors::Voxel(Arc::new(color)),
         notes: Vec::new(),
+        about: About::default(),
         input_bytes: 0,
     }
 }
