@@ -16,13 +16,14 @@ use planecast::{
 use planecast_encoder::source;
 use planecast_encoder::{BuildOptions, Scene, build};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 fn setting<T: std::str::FromStr>(name: &str, default: T) -> T {
     std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
 }
 
-fn scene(name: &str, size: u32) -> (Scene, Resident) {
+fn scene(name: &str, size: u32) -> (Arc<Scene>, Arc<Resident>) {
     let name = match name {
         _ if is_file(name) => name.into(),
         _ if name.contains('?') => format!("procedural:{name}"),
@@ -30,8 +31,8 @@ fn scene(name: &str, size: u32) -> (Scene, Resident) {
     };
     let input = source::open(Path::new(&name), &source::ReadOptions::default()).expect("a scene");
     let scene = build(input, &BuildOptions::default()).expect("a scene");
-    let resident = Resident::new(&scene);
-    (scene, resident)
+    let resident = Arc::new(Resident::new(&scene));
+    (Arc::new(scene), resident)
 }
 
 fn is_file(name: &str) -> bool {

@@ -11,6 +11,7 @@ use planecast::{Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Rep
 use planecast_encoder::{BuildOptions, build, source};
 use std::error::Error;
 use std::ffi::CStr;
+use std::sync::Arc;
 use wgpu::naga;
 
 const SCENES: [&str; 3] = ["procedural:hills?size=256", "procedural:rocks?size=256", "procedural:mixing?size=256"];
@@ -152,7 +153,7 @@ fn run(scenes: &[String]) -> Result<(), Box<dyn Error>> {
     let mut driver: Option<Driver> = None;
     for name in scenes {
         let input = source::open(name.as_ref(), &source::ReadOptions::default())?;
-        let scene = build(input, &BuildOptions::default())?;
+        let scene = Arc::new(build(input, &BuildOptions::default())?);
         let views = [
             (
                 "repeated",
@@ -164,7 +165,7 @@ fn run(scenes: &[String]) -> Result<(), Box<dyn Error>> {
         for (view, options) in views {
             for specialize in [Features::NONE, Features::ALL] {
                 let options = Options { specialize, ..options };
-                let resident = Resident::with(&scene, specialize);
+                let resident = Arc::new(Resident::with(&scene, specialize));
                 // Level, as most frames are.
                 let camera = poses(&resident, 10, 1024, 768)[0];
                 for kernel in Kernel::ALL {

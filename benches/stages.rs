@@ -13,19 +13,20 @@ use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, PcastFile, Scene, build};
 use std::hint::black_box;
 use std::path::Path;
+use std::sync::Arc;
 
 const SIZE: [u32; 2] = [1024, 768];
 
 struct Case {
     name: String,
-    scene: Scene,
+    scene: Arc<Scene>,
     options: Options,
 }
 
 fn cases() -> Vec<Case> {
     let procedural = |name: &str| {
         let input = source::open(Path::new(name), &ReadOptions::default()).expect("procedural scenes need no file");
-        build(input, &BuildOptions::default()).expect("procedural scenes can be encoded")
+        Arc::new(build(input, &BuildOptions::default()).expect("procedural scenes can be encoded"))
     };
     let near = Options { lod: None, remap: Remap::Nearest, shading: Shading::None, ..Options::default() };
     let far = Options {
@@ -43,7 +44,11 @@ fn cases() -> Vec<Case> {
     if let Ok(file) = std::env::var("PLANECAST_BENCH_SCENE") {
         let read = PcastFile::open(Path::new(&file)).and_then(|f| f.read_scene());
         let scene = read.unwrap_or_else(|e| panic!("PLANECAST_BENCH_SCENE: {e}"));
-        cases.push(Case { name: file.rsplit('/').next().unwrap_or("file").into(), scene, options: near });
+        cases.push(Case {
+            name: file.rsplit('/').next().unwrap_or("file").into(),
+            scene: Arc::new(scene),
+            options: near,
+        });
     }
     cases
 }
@@ -60,7 +65,7 @@ fn stages(c: &mut Criterion) {
     // Listing and filtering benches must not build scenes: criterion runs this function once for all.
     let cases = cases();
     for case in &cases {
-        let resident = Resident::new(&case.scene);
+        let resident = Arc::new(Resident::new(&case.scene));
         let options = case.options;
         for pitch in [0.0, -30.0, -90.0, 30.0] {
             let camera = camera(&case.scene, pitch);

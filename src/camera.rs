@@ -20,6 +20,13 @@ pub struct Camera {
     pub height: u32,
 }
 
+impl Default for Camera {
+    /// At the origin, level, looking along −z; 60° high, 1280 × 720 pixels.
+    fn default() -> Camera {
+        Camera { eye: DVec3::ZERO, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: 60.0, width: 1280, height: 720 }
+    }
+}
+
 /// The camera's axes in the world frame, orthonormal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis {

@@ -7,6 +7,7 @@ use std::ffi::{OsStr, OsString};
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path as FilePath, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -362,6 +363,22 @@ pub struct DrawArgs {
     threads: Option<u16>,
 }
 
+impl ValueEnum for Device {
+    fn value_variants<'a>() -> &'a [Device] {
+        &[Device::Auto, Device::Gpu, Device::Cpu, Device::Exact]
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let (name, help) = match self {
+            Device::Auto => ("auto", "The GPU where a real one is usable, else the CPU"),
+            Device::Gpu => ("gpu", "The GPU; an error where there is none"),
+            Device::Cpu => ("cpu", "The CPU"),
+            Device::Exact => ("exact", "One f64 ray per pixel at level 0, on the CPU"),
+        };
+        Some(clap::builder::PossibleValue::new(name).help(help))
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum RepeatArg {
     None,
@@ -534,8 +551,8 @@ impl DrawArgs {
 
     /// Settles what draws, and tells of it where that was left to the program. Before any other work.
     /// Opens the device that draws; what it has to tell goes to stderr.
-    fn renderer<'a>(&self, scene: &'a Scene, resident: &'a Resident) -> Result<Renderer<'a>> {
-        Renderer::new(scene, resident, self.device, self.kernel.as_deref(), &mut tell)
+    fn renderer(&self, scene: &Arc<Scene>, resident: &Arc<Resident>) -> Result<Renderer> {
+        Renderer::with_kernel(scene, resident, self.device, self.kernel.as_deref(), &mut tell)
     }
 
     fn set_threads(&self) -> Result<()> {
@@ -556,6 +573,12 @@ fn tell(what: &str) {
 
 fn open_scene(path: &FilePath, skip_broken: bool) -> Result<Scene> {
     Ok(planecast_encoder::cli::read_scene(&PcastFile::open(path)?, skip_broken)?)
+}
+
+/// A scene and its tables, as renderers share them.
+fn shared(scene: Scene, features: Features) -> (Arc<Scene>, Arc<Resident>) {
+    let resident = Resident::with(&scene, features);
+    (Arc::new(scene), Arc::new(resident))
 }
 
 /// Every output once and over no input, and each can be written as far as that can be known before.
@@ -585,10 +608,10 @@ impl RenderArgs {
         let options = self.draw.options();
         let scene = open_scene(&self.scene, self.draw.skip_broken)?;
         let camera = self.pose(&scene).camera(self.size);
-        let resident = Resident::with(&scene, self.draw.specialize);
+        let (scene, resident) = shared(scene, self.draw.specialize);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
-        let mut frame = renderer.draw(&camera, &options, outputs, &mut tell)?;
+        let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
         if self.stats.is_some() && options.readjust && self.draw.device != Device::Exact {
             frame.stats.readjusted_saves = renderer.spacing_saves(&camera, &options, &mut tell)?;
         }
@@ -658,7 +681,7 @@ impl FlyArgs {
             })?;
         }
 
-        let resident = Resident::with(&scene, self.draw.specialize);
+        let (scene, resident) = shared(scene, self.draw.specialize);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
         let film = Film {
@@ -694,7 +717,7 @@ impl ViewArgs {
         self.draw.set_threads()?;
         view::view(view::Settings {
             input: self.input.clone(),
-            how: view::world::How {
+            how: crate::world::OpenOptions {
                 read: self.read.clone(),
                 skip_broken: self.draw.skip_broken,
                 specialize: self.draw.specialize,

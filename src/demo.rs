@@ -4,6 +4,7 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -49,8 +50,8 @@ pub fn demo(folder: &Path) -> Result<()> {
     tell(format!("{}: {nx} x {ny} x {nz} voxels, {} levels", scene_file.display(), scene.levels.len()))?;
 
     // From the file, as any other command would.
-    let scene = PcastFile::open(&scene_file)?.read_scene()?;
-    let resident = Resident::new(&scene);
+    let scene = Arc::new(PcastFile::open(&scene_file)?.read_scene()?);
+    let resident = Arc::new(Resident::new(&scene));
     let mut renderer = CpuRenderer::new(&scene, &resident);
     let options = Options::default();
     let view = |size| View { fov: 60.0, size, repeat: Repeat::default() };

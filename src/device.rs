@@ -8,47 +8,69 @@ use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
 use crate::options::Options;
 use crate::renderer::{CpuRenderer, Outputs};
 use crate::resident::Resident;
+use crate::world::World;
 use planecast_encoder::Scene;
 #[cfg(feature = "gpu")]
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// What was asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Device {
     /// The GPU where a real one is usable, else the CPU.
+    #[default]
     Auto,
     Gpu,
     Cpu,
-    /// One f64 ray a pixel at level 0, on the CPU.
+    /// One f64 ray per pixel at level 0, on the CPU.
     Exact,
 }
 
-/// Draws frames of one scene on the device that was chosen.
-pub struct Renderer<'a> {
-    backend: Backend<'a>,
+/// Draws frames of one world on the device that was chosen. It owns what it draws, and can be moved into a thread.
+pub struct Renderer {
+    backend: Backend,
+    /// What was decided without being asked for: which device `auto` took, and why.
+    notices: Vec<String>,
     /// What replaces a GPU that fails; `None` where it was asked for by name.
     #[cfg(feature = "gpu")]
-    fall_back: Option<(&'a Scene, &'a Resident)>,
+    fall_back: Option<(Arc<Scene>, Arc<Resident>)>,
     #[cfg(feature = "gpu")]
     ahead: Ahead,
 }
 
-enum Backend<'a> {
-    Planes(CpuRenderer<'a>),
-    Exact(CpuRenderer<'a>),
+enum Backend {
+    Planes(CpuRenderer),
+    Exact(CpuRenderer),
     #[cfg(feature = "gpu")]
-    Gpu(Box<GpuRenderer<'a>>),
+    Gpu(Box<GpuRenderer>),
 }
 
-impl<'a> Renderer<'a> {
-    /// Opens a device. `tell` hears which one `auto` took, and why.
-    pub fn new(
-        scene: &'a Scene,
-        resident: &'a Resident,
+impl Renderer {
+    /// Opens a device to draw a world on. [`Renderer::notices`] says which one `Device::Auto` took, and why.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where there is no usable GPU and `Device::Gpu` was asked for, [`Error::Limit`] where the world does
+    /// not fit it.
+    pub fn new(world: Arc<World>, device: Device) -> Result<Renderer> {
+        let mut notices = Vec::new();
+        let tell = &mut |what: &str| notices.push(what.to_owned());
+        let renderer = Renderer::with_kernel(&world.scene, &world.resident, device, None, tell)?;
+        Ok(Renderer { notices, ..renderer })
+    }
+
+    /// What was decided without being asked for: which device was taken or given up, and why.
+    pub fn notices(&self) -> &[String] {
+        &self.notices
+    }
+
+    /// The same with a kernel of the device's by name. `tell` hears which device `auto` took, and why.
+    pub fn with_kernel(
+        scene: &Arc<Scene>,
+        resident: &Arc<Resident>,
         device: Device,
         kernel: Option<&str>,
         tell: &mut dyn FnMut(&str),
-    ) -> Result<Renderer<'a>> {
+    ) -> Result<Renderer> {
         let cpu = || CpuRenderer::new(scene, resident);
         let only = |name: &str| match kernel {
             Some(k) if k != name => Err(Error::Argument(format!("kernel {k}: this device has only {name}"))),
@@ -81,8 +103,9 @@ impl<'a> Renderer<'a> {
         }
         Ok(Renderer {
             backend,
+            notices: Vec::new(),
             #[cfg(feature = "gpu")]
-            fall_back: (device == Device::Auto).then_some((scene, resident)),
+            fall_back: (device == Device::Auto).then(|| (Arc::clone(scene), Arc::clone(resident))),
             #[cfg(feature = "gpu")]
             ahead: Ahead::new(),
         })
@@ -90,9 +113,10 @@ impl<'a> Renderer<'a> {
 
     /// Draws on a GPU that is open already, and goes on with the CPU where it fails, as `auto` does.
     #[cfg(feature = "gpu")]
-    pub fn on_gpu(gpu: GpuRenderer<'a>) -> Renderer<'a> {
-        let fall_back = Some(gpu.draws());
-        Renderer { backend: Backend::Gpu(Box::new(gpu)), fall_back, ahead: Ahead::new() }
+    pub fn on_gpu(gpu: GpuRenderer) -> Renderer {
+        let (scene, resident) = gpu.draws();
+        let fall_back = Some((Arc::clone(scene), Arc::clone(resident)));
+        Renderer { backend: Backend::Gpu(Box::new(gpu)), notices: Vec::new(), fall_back, ahead: Ahead::new() }
     }
 
     /// Whether frames' figures say how many columns, runs and spans were visited. The CPU counts in any case: it costs nothing.
@@ -104,8 +128,21 @@ impl<'a> Renderer<'a> {
         }
     }
 
-    /// Draws one frame. After `auto`, a GPU that fails is replaced by the CPU for good, and `tell` hears why.
-    pub fn draw(
+    /// Draws one frame: colour and depth. After `Device::Auto`, a GPU that fails is replaced by the CPU for good, and
+    /// [`Renderer::notices`] says why.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where camera or options cannot be drawn, [`Error::Limit`] where they ask too much of the device,
+    /// [`Error::Device`] where that fails.
+    pub fn draw(&mut self, camera: &Camera, options: &Options) -> Result<Frame> {
+        let mut notices = std::mem::take(&mut self.notices);
+        let frame = self.draw_with(camera, options, Outputs::default(), &mut |what| notices.push(what.to_owned()));
+        self.notices = notices;
+        frame
+    }
+
+    /// The same with voxels, if they are asked for. `tell` hears why a GPU is given up.
+    pub fn draw_with(
         &mut self,
         camera: &Camera,
         options: &Options,
@@ -132,10 +169,10 @@ impl<'a> Renderer<'a> {
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpu) => match draw_ahead(gpu, &mut self.ahead, cameras, options, outputs) {
                 Err(e @ (Error::Device(_) | Error::Limit(_))) => {
-                    let Some((scene, resident)) = self.fall_back else { return Err(e) };
+                    let Some((scene, resident)) = &self.fall_back else { return Err(e) };
                     tell(&format!("going on with the cpu: {e}"));
                     self.backend = Backend::Planes(CpuRenderer::new(scene, resident));
-                    self.draw(camera, options, outputs, tell)
+                    self.draw_with(camera, options, outputs, tell)
                 }
                 frame => frame,
             },
@@ -151,7 +188,7 @@ impl<'a> Renderer<'a> {
         tell: &mut dyn FnMut(&str),
     ) -> Result<Option<SpacingSaves>> {
         let mut draw = |readjust| -> Result<(u32, f64)> {
-            let frame = self.draw(camera, &Options { readjust, ..*options }, Outputs::default(), tell)?;
+            let frame = self.draw_with(camera, &Options { readjust, ..*options }, Outputs::default(), tell)?;
             let times = frame.stats.gpu_ms.or(frame.stats.cpu_ms).unwrap_or_default();
             Ok((frame.stats.planes, times.traverse))
         };
@@ -200,7 +237,7 @@ type Ahead = VecDeque<(Camera, Options, Outputs)>;
 
 #[cfg(feature = "gpu")]
 fn draw_ahead(
-    gpu: &mut GpuRenderer<'_>,
+    gpu: &mut GpuRenderer,
     ahead: &mut Ahead,
     cameras: &[Camera],
     options: &Options,
@@ -229,12 +266,7 @@ fn draw_ahead(
 
 /// The GPU; with `real_only`, none that a processor plays.
 #[cfg(feature = "gpu")]
-fn open_gpu<'a>(
-    scene: &'a Scene,
-    resident: &'a Resident,
-    kernel: Option<&str>,
-    real_only: bool,
-) -> Result<Backend<'a>> {
+fn open_gpu(scene: &Arc<Scene>, resident: &Arc<Resident>, kernel: Option<&str>, real_only: bool) -> Result<Backend> {
     let kernel = kernel.map_or(Ok(GpuOptions::default().kernel), str::parse::<Kernel>)?;
     let gpu = GpuRenderer::new(scene, resident, GpuOptions { kernel, ..GpuOptions::default() })?;
     if real_only && gpu.is_software() {
@@ -244,6 +276,6 @@ fn open_gpu<'a>(
 }
 
 #[cfg(not(feature = "gpu"))]
-fn open_gpu<'a>(_: &'a Scene, _: &'a Resident, _: Option<&str>, _: bool) -> Result<Backend<'a>> {
+fn open_gpu(_: &Arc<Scene>, _: &Arc<Resident>, _: Option<&str>, _: bool) -> Result<Backend> {
     Err(Error::Device("this planecast was built without the feature gpu; use --device cpu".into()))
 }

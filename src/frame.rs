@@ -14,6 +14,17 @@ pub struct Frame {
     pub stats: Stats,
 }
 
+#[cfg(not(target_arch = "wasm32"))]
+impl Frame {
+    /// Writes the picture as PNG, 8-bit sRGB; the whole file or, where that fails, none.
+    ///
+    /// # Errors
+    /// [`crate::Error::Scene`] names the file and what could not be done.
+    pub fn save_png(&self, path: impl AsRef<std::path::Path>) -> crate::Result<()> {
+        Ok(crate::output::write(path.as_ref(), |out| crate::output::png(out, self))?.finish()?)
+    }
+}
+
 /// Milliseconds by stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct StageTimes {

@@ -1,5 +1,46 @@
 //! Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes.
 //!
+//! ```
+//! use planecast::{Camera, Device, Options, Renderer, World};
+//!
+//! # fn main() -> Result<(), planecast::Error> {
+//! # let folder = std::env::temp_dir().join(format!("planecast-door-{}", std::process::id()));
+//! # std::fs::create_dir_all(&folder).unwrap();
+//! # let path = "procedural:rocks?size=64";
+//! // A scene file, or anything that `planecast encode` reads.
+//! let world = World::open(path)?;
+//! let mut renderer = Renderer::new(world, Device::Auto)?;
+//! let camera = Camera { eye: [32.0, 60.0, 90.0].into(), pitch: -20.0, width: 320, height: 200, ..Camera::default() };
+//! let frame = renderer.draw(&camera, &Options::default())?;
+//! # let path = folder.join("view.png");
+//! frame.save_png(path)?;
+//! # assert_eq!(frame.color.len(), 320 * 200);
+//! # assert!(frame.depth.iter().any(|d| d.is_finite()), "the rocks are in view");
+//! # std::fs::remove_dir_all(&folder).unwrap();
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A world can come from memory, too ([`World::from_heights`], [`World::from_voxels`]); it is shared by `Arc`, and a renderer that
+//! owns its share can move into a thread:
+//!
+//! ```
+//! use planecast::{Camera, Device, Options, Renderer, World};
+//!
+//! # fn main() -> Result<(), planecast::Error> {
+//! let heights: Vec<u16> = (0..64 * 64).map(|i| 8 + (i % 64 + i / 64) as u16 / 8).collect();
+//! let world = World::from_heights([64, 64], &heights)?;
+//! let mut renderer = Renderer::new(world, Device::Cpu)?;
+//! let drawn = std::thread::spawn(move || {
+//!     let camera = Camera { eye: [32.0, 40.0, 80.0].into(), pitch: -30.0, width: 64, height: 48, ..Camera::default() };
+//!     renderer.draw(&camera, &Options::default())
+//! });
+//! let frame = drawn.join().expect("drawing does not panic")?;
+//! assert!(frame.depth.iter().any(|d| d.is_finite()));
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! The method is that of Voxlap (Silverman) and of Forstmann & Ohya, *Parallel Forward Projection of Large Voxel-Volumes on
 //! the GPU*, 2009. One plane holds the eye's vertical axis and one azimuth; it crosses the screen in one line. A walk over
 //! the columns that it cuts, near to far, draws their runs as spans into that line until the line is full. Planes do not
@@ -91,8 +132,11 @@ pub mod tour;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod video;
 pub mod view;
+pub mod world;
 
 pub use camera::Camera;
+#[cfg(not(target_arch = "wasm32"))]
+pub use device::{Device, Renderer};
 pub use error::{Error, Result};
 pub use frame::{Frame, StageTimes, Stats};
 #[cfg(feature = "gpu")]
@@ -101,3 +145,9 @@ pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
 pub use renderer::{CpuRenderer, Outputs};
 pub use resident::Resident;
 pub use specialize::{Feature, Features};
+pub use world::World;
+
+/// Vectors, as [`Camera`] has them.
+pub use glam;
+/// The scene format, and everything that makes scenes.
+pub use planecast_encoder as encoder;

@@ -11,14 +11,15 @@ use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
 use crate::specialize::{Specialization, Twin};
 use planecast_encoder::{ColorMode, Scene};
+use std::sync::Arc;
 
 /// Pixels a frame may have.
 pub const PIXEL_LIMIT: u64 = 1 << 28;
 
 /// Draws frames of one scene on the CPU. Keeps its buffers from frame to frame.
-pub struct CpuRenderer<'a> {
-    scene: &'a Scene,
-    resident: &'a Resident,
+pub struct CpuRenderer {
+    scene: Arc<Scene>,
+    resident: Arc<Resident>,
     buffer: PlaneBuffer,
     color: Vec<u32>,
     index: Vec<u32>,
@@ -95,8 +96,9 @@ fn milliseconds(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-impl<'a> CpuRenderer<'a> {
-    pub fn new(scene: &'a Scene, resident: &'a Resident) -> CpuRenderer<'a> {
+impl CpuRenderer {
+    pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>) -> CpuRenderer {
+        let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color, index, doubt }
     }
@@ -104,21 +106,21 @@ impl<'a> CpuRenderer<'a> {
     /// Draws one frame by forward projection in planes.
     pub fn render(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         check(camera, options)?;
-        if let Some(frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
+        if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
         let mut frame = self.frame(camera, outputs);
         let start = Instant::now();
 
-        let setup = plane_setup(self.resident, camera, options);
+        let setup = plane_setup(&self.resident, camera, options);
         let setup_ms = milliseconds(start);
 
         let at = Instant::now();
         let retest = setup.retests(camera, options);
         let voxels = outputs.voxel || retest;
         let traverse = if options.f64_traversal { f64::traverse } else { f32::traverse };
-        let specialization = Specialization::new(self.resident, &setup, camera, options, Twin::Cpu);
-        let counters = traverse(self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
+        let specialization = Specialization::new(&self.resident, &setup, camera, options, Twin::Cpu);
+        let counters = traverse(&self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();
@@ -129,7 +131,7 @@ impl<'a> CpuRenderer<'a> {
         shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
         let shade_ms = milliseconds(at);
 
-        frame.stats = frame_stats(self.scene, self.resident, camera, options, "cpu", "planes");
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "planes");
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
@@ -150,17 +152,17 @@ impl<'a> CpuRenderer<'a> {
     /// Draws one frame with one f64 ray a pixel at level 0.
     pub fn exact(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         check(camera, options)?;
-        if let Some(frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
+        if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
         let mut frame = self.frame(camera, outputs);
         let start = Instant::now();
         let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
-        crate::exact::exact(self.scene, self.resident, camera, options, color, depth, voxel);
+        crate::exact::exact(&self.scene, &self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
         shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
-        frame.stats = frame_stats(self.scene, self.resident, camera, options, "exact", "exact");
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "exact", "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
             shade: milliseconds(at),
@@ -197,8 +199,8 @@ impl<'a> CpuRenderer<'a> {
                 voxel: &mut frame.voxel,
                 doubt: &mut self.doubt,
             };
-            remap::remap_retest(self.resident, setup, &self.buffer, camera, &mut pixels);
-            refine::refine(self.resident, setup, camera, &mut pixels);
+            remap::remap_retest(&self.resident, setup, &self.buffer, camera, &mut pixels);
+            refine::refine(&self.resident, setup, camera, &mut pixels);
             for v in &mut frame.voxel {
                 *v = world_voxel(setup, *v);
             }

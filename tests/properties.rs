@@ -11,6 +11,7 @@ use planecast::stability::{self, WorldName};
 use planecast::{Camera, Culling, Frame, Options, Outputs, Planes, Remap, Repeat};
 use planecast_encoder::{BuildOptions, Columns, Input, Scene, build};
 use proptest::prelude::*;
+use std::sync::Arc;
 
 #[test]
 fn moving_eye_and_repeated_world_by_whole_periods_changes_no_bit() {
@@ -319,10 +320,9 @@ fn repeated_world_is_the_same_from_10_to_the_9_away() {
 #[test]
 fn check_refuses_what_cannot_be_drawn() {
     let columns = Columns::empty(4, 4, 4);
-    let scene: Scene =
-        build(Input { columns, colors: planecast_encoder::Colors::None, notes: Vec::new() }, &BuildOptions::default())
-            .unwrap();
-    let resident = planecast::Resident::new(&scene);
+    let input = Input { columns, colors: planecast_encoder::Colors::None, notes: Vec::new() };
+    let scene: Arc<Scene> = Arc::new(build(input, &BuildOptions::default()).unwrap());
+    let resident = Arc::new(planecast::Resident::new(&scene));
     let mut renderer = planecast::CpuRenderer::new(&scene, &resident);
     let good = common::camera(DVec3::ZERO, [0.0; 3], [8, 8]);
     let mut refused = |camera: Camera, options: Options| {

@@ -10,6 +10,7 @@ use planecast::stability::{Case, Drawer, Expect, Row, World, WorldName, cases};
 use planecast::{Camera, Culling, Frame, Options, Planes, Repeat, Resident, Shading};
 use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
 use std::collections::HashMap;
+use std::sync::Arc;
 
 /// All cases world by world, so that each world is made once.
 fn by_world() -> Vec<(WorldName, Vec<Case>)> {
@@ -372,8 +373,8 @@ fn watertightness_check_catches_one_missing_voxel() {
     let solid = |x: u32, y: u32, z: u32| whole.solid(x.into(), y.into(), z.into()) && [x, y, z] != [0, 7, 9];
     let columns = Columns::from_fn(nx, ny, nz, solid);
     let input = Input { columns, colors: Colors::None, notes: Vec::new() };
-    let scene = build(input, &BuildOptions::default()).unwrap();
-    let resident = Resident::new(&scene);
+    let scene = Arc::new(build(input, &BuildOptions::default()).unwrap());
+    let resident = Arc::new(Resident::new(&scene));
     let world = World { name, scene, resident };
     let level0 = closing()[0];
     let caught = poses_within(&world, 1_500, 11)

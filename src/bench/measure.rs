@@ -131,9 +131,9 @@ impl Pools {
 /// The renderers of one scene, opened as they are needed.
 struct Drawers<'a> {
     loaded: &'a Loaded,
-    cpu: CpuRenderer<'a>,
+    cpu: CpuRenderer,
     #[cfg(feature = "gpu")]
-    gpu: Option<GpuRenderer<'a>>,
+    gpu: Option<GpuRenderer>,
 }
 
 impl Drawers<'_> {

@@ -207,12 +207,13 @@ fn picture(path: &Path, loaded: &Loaded, config: &Config) -> Result<()> {
 fn adapter(device: Device) -> Result<Result<String, String>> {
     use crate::{GpuOptions, GpuRenderer, Resident};
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
+    use std::sync::Arc;
     if device == Device::Cpu {
         return Ok(Err("--device cpu".into()));
     }
     let input = Input { columns: Columns::empty(1, 1, 1), colors: Colors::None, notes: Vec::new() };
-    let scene = build(input, &BuildOptions::default())?;
-    let resident = Resident::new(&scene);
+    let scene = Arc::new(build(input, &BuildOptions::default())?);
+    let resident = Arc::new(Resident::new(&scene));
     let opened = GpuRenderer::new(&scene, &resident, GpuOptions::default());
     match (opened, device) {
         (Err(e), Device::Gpu) => Err(e),

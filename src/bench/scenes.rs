@@ -7,6 +7,7 @@ use planecast_encoder::{BuildOptions, ColorMode, Colors, Encoding, Error as File
 use planecast_encoder::{build, info, write};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A scene of the bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, clap::ValueEnum, serde::Serialize)]
@@ -73,8 +74,8 @@ pub struct Key {
 
 /// A scene in memory, with the figures of its file.
 pub struct Loaded {
-    pub scene: Scene,
-    pub resident: Resident,
+    pub scene: Arc<Scene>,
+    pub resident: Arc<Resident>,
     pub info: info::Info,
 }
 
@@ -104,8 +105,8 @@ impl Scenes {
         };
         let file = PcastFile::open(&path)?;
         let (info, scene) = (info::info(&file)?, file.read_scene()?);
-        let resident = Resident::new(&scene);
-        Ok(Loaded { scene, resident, info })
+        let resident = Arc::new(Resident::new(&scene));
+        Ok(Loaded { scene: Arc::new(scene), resident, info })
     }
 
     fn encoded(&self, key: &Key) -> Result<PathBuf> {

@@ -664,8 +664,8 @@ mod tests {
     fn retest_sees_no_voxel_behind_the_surface() {
         let columns = Columns::from_fn(64, 64, 16, |_, _, z| z < 8);
         let input = Input { columns, colors: Colors::None, notes: Vec::new() };
-        let scene = build(input, &BuildOptions::default()).unwrap();
-        let resident = Resident::new(&scene);
+        let scene = std::sync::Arc::new(build(input, &BuildOptions::default()).unwrap());
+        let resident = std::sync::Arc::new(Resident::new(&scene));
         let mut renderer = CpuRenderer::new(&scene, &resident);
         for (pitch, roll) in [(-20.0, 0.0), (30.0, 25.0), (0.0, 90.0)] {
             let eye = DVec3::new(31.3, 33.7, 24.2);

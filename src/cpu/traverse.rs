@@ -1372,8 +1372,9 @@ mod tests {
         let mut over_ground = [0, 0];
         for columns in [ground, caves] {
             let colors = Colors::Function(Box::new(|x, y, z| [x as u8 * 2, y as u8 * 5, z as u8 * 3]));
-            let scene = build(Input { columns, colors, notes: Vec::new() }, &BuildOptions::default()).unwrap();
-            let resident = Resident::new(&scene);
+            let built = build(Input { columns, colors, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+            let scene = std::sync::Arc::new(built);
+            let resident = std::sync::Arc::new(Resident::new(&scene));
             let mut renderer = CpuRenderer::new(&scene, &resident);
             let mut draw = |without, camera: &Camera, options: &Options, outputs| {
                 WITHOUT_AVX2.set(without);

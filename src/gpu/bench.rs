@@ -9,6 +9,7 @@ use crate::resident::Resident;
 use crate::specialize::Features;
 use planecast_encoder::Scene;
 use std::fmt;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// One kernel to measure.
@@ -97,7 +98,13 @@ pub fn stroll(resident: &Resident, width: u32, height: u32) -> Vec<Camera> {
 }
 
 /// Frames a second over all `poses`, read back, with as many on their way as is said.
-pub fn film(scene: &Scene, resident: &Resident, poses: &[Camera], options: &Options, in_flight: usize) -> Result<f64> {
+pub fn film(
+    scene: &Arc<Scene>,
+    resident: &Arc<Resident>,
+    poses: &[Camera],
+    options: &Options,
+    in_flight: usize,
+) -> Result<f64> {
     let mut gpu = GpuRenderer::new(scene, resident, GpuOptions { in_flight, ..GpuOptions::default() })?;
     let mut round = || -> Result<Duration> {
         let start = Instant::now();
@@ -133,8 +140,8 @@ const WARM_UP: Duration = Duration::from_millis(1500);
 /// Draws all `poses` with each kernel, once counting work, then twice without, and times the last round; with each frame
 /// alone on the device.
 pub fn flythrough(
-    scene: &Scene,
-    resident: &Resident,
+    scene: &Arc<Scene>,
+    resident: &Arc<Resident>,
     poses: &[Camera],
     options: &Options,
     entries: &[Entry],
@@ -151,7 +158,7 @@ pub fn flythrough(
     for entry in entries {
         let Entry { kernel, lanes, trusted, specialize } = *entry;
         let options = &Options { specialize, ..*options };
-        let own = (specialize != Features::ALL).then(|| Resident::with(scene, specialize));
+        let own = (specialize != Features::ALL).then(|| Arc::new(Resident::with(scene, specialize)));
         let resident = own.as_ref().unwrap_or(resident);
         let mut gpu =
             GpuRenderer::new(scene, resident, GpuOptions { kernel, lanes, trusted, ..GpuOptions::default() })?;

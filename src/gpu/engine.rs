@@ -2,9 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gpu::shaders::{self, Variant};
-use std::cell::RefCell;
 use std::collections::HashMap;
-use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 
 /// A device and its compiled pipelines.
@@ -37,11 +35,11 @@ pub struct Device {
 
 /// Compiled pipelines by what they were made from.
 #[derive(Clone, Default)]
-pub struct Pipelines(Rc<RefCell<HashMap<String, Rc<Pipeline>>>>);
+pub struct Pipelines(Arc<Mutex<HashMap<String, Arc<Pipeline>>>>);
 
 impl std::fmt::Debug for Pipelines {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} pipelines", self.0.borrow().len())
+        write!(f, "{} pipelines", lock(&self.0).len())
     }
 }
 
@@ -216,9 +214,9 @@ impl Engine {
         name: &'static str,
         variant: &Variant,
         constants: &[(&'static str, f64)],
-    ) -> Result<Rc<Pipeline>> {
+    ) -> Result<Arc<Pipeline>> {
         let key = format!("{name} {variant:?} {constants:?} {}", self.trusted);
-        if let Some(pipeline) = self.pipelines.0.borrow().get(&key) {
+        if let Some(pipeline) = lock(&self.pipelines.0).get(&key) {
             return Ok(pipeline.clone());
         }
         let source = shaders::assemble(name, variant);
@@ -240,20 +238,20 @@ impl Engine {
             })
         })?;
         let pipeline =
-            Rc::new(Pipeline { name, variant: variant.clone(), constants: constants.to_vec(), pipeline, bindings });
-        self.pipelines.0.borrow_mut().insert(key, pipeline.clone());
+            Arc::new(Pipeline { name, variant: variant.clone(), constants: constants.to_vec(), pipeline, bindings });
+        lock(&self.pipelines.0).insert(key, pipeline.clone());
         Ok(pipeline)
     }
 
     /// All shaders that were compiled so far, by name.
     pub fn shaders(&self) -> Vec<Shader> {
-        let shader = |p: &Rc<Pipeline>| Shader {
+        let shader = |p: &Arc<Pipeline>| Shader {
             name: p.name,
             defines: p.variant.defines.clone(),
             constants: p.constants.clone(),
             source: shaders::assemble(p.name, &p.variant),
         };
-        let mut all: Vec<Shader> = self.pipelines.0.borrow().values().map(shader).collect();
+        let mut all: Vec<Shader> = lock(&self.pipelines.0).values().map(shader).collect();
         all.sort_by(|a, b| (a.name, &a.defines).cmp(&(b.name, &b.defines)));
         all
     }

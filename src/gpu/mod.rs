@@ -29,7 +29,7 @@ use present::ByteOrder;
 use resident::GpuResident;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use types::{FrameParams, Upload};
 
 /// How `traverse` is spread over the device. All draw the same picture but for float rounding.
@@ -108,9 +108,9 @@ impl Default for GpuOptions {
 }
 
 /// Draws frames of one scene on the GPU.
-pub struct GpuRenderer<'a> {
-    scene: &'a Scene,
-    resident: &'a Resident,
+pub struct GpuRenderer {
+    scene: Arc<Scene>,
+    resident: Arc<Resident>,
     options: GpuOptions,
     engine: Engine,
     tables: GpuResident,
@@ -221,19 +221,19 @@ fn workgroup_other(lanes: u32) -> u32 {
 /// Workgroups of one dimension: wgpu allows 65,535.
 const GROUPS_A_ROW: u32 = 32_768;
 
-impl<'a> GpuRenderer<'a> {
+impl GpuRenderer {
     /// Opens the adapter and uploads the scene. Without a usable adapter, or where the scene does not fit, the error says
     /// so.
-    pub fn new(scene: &'a Scene, resident: &'a Resident, options: GpuOptions) -> Result<GpuRenderer<'a>> {
+    pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<GpuRenderer> {
         GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
     }
 
     fn with_engine(
-        scene: &'a Scene,
-        resident: &'a Resident,
+        scene: &Arc<Scene>,
+        resident: &Arc<Resident>,
         mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
-    ) -> Result<GpuRenderer<'a>> {
+    ) -> Result<GpuRenderer> {
         if let Some(lanes) = options.lanes {
             let invocation = options.kernel == Kernel::Invocation;
             let fits =
@@ -260,8 +260,8 @@ impl<'a> GpuRenderer<'a> {
         let shown = present::Shown::default();
         let (live_order, shaded_order) = Default::default();
         Ok(GpuRenderer {
-            scene,
-            resident,
+            scene: Arc::clone(scene),
+            resident: Arc::clone(resident),
             options,
             engine,
             tables,
@@ -281,8 +281,8 @@ impl<'a> GpuRenderer<'a> {
     }
 
     /// What it draws.
-    pub fn draws(&self) -> (&'a Scene, &'a Resident) {
-        (self.scene, self.resident)
+    pub fn draws(&self) -> (&Arc<Scene>, &Arc<Resident>) {
+        (&self.scene, &self.resident)
     }
 
     /// Gives the device up at once, with all its memory. Later frames are an [`Error::Device`], as after a device is lost.
@@ -425,17 +425,17 @@ impl<'a> GpuRenderer<'a> {
             return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
         }
         let start = Instant::now();
-        if let Some(mut frame) = inside_solid(self.scene, self.resident, camera, options, outputs) {
+        if let Some(mut frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
             frame.stats.device = self.engine.name.clone();
             frame.stats.cpu_ms = None;
             frame.stats.gpu_ms = Some(StageTimes::default());
             frame.stats.bytes_scene_gpu = self.tables.bytes;
             return Ok(Drawn::Inside(Box::new(frame)));
         }
-        let setup = plane_setup(self.resident, camera, options);
+        let setup = plane_setup(&self.resident, camera, options);
         self.check_steps(&setup, options)?;
-        let upload = Upload::new(self.resident, &setup, camera, options);
-        let plan = Plan::new(self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
+        let upload = Upload::new(&self.resident, &setup, camera, options);
+        let plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
         self.upload(&upload, camera, options.ssao_samples);
 
@@ -471,7 +471,7 @@ impl<'a> GpuRenderer<'a> {
             color: Vec::new(),
             depth: Vec::new(),
             voxel: Vec::new(),
-            stats: frame_stats(self.scene, self.resident, camera, options, &self.engine.name, plan.kernel.name()),
+            stats: frame_stats(&self.scene, &self.resident, camera, options, &self.engine.name, plan.kernel.name()),
         };
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
@@ -639,7 +639,7 @@ impl Plan {
     }
 }
 
-impl GpuRenderer<'_> {
+impl GpuRenderer {
     /// Makes sure that every buffer of a frame exists and is long enough.
     fn reserve(&mut self, plan: &Plan) -> Result<()> {
         use wgpu::BufferUsages as U;

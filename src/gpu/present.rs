@@ -1,6 +1,7 @@
 //! Frames that stay on the device: drawn, shown on a surface, and never read back but for their figures.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::mpsc::TryRecvError;
 
 use planecast_encoder::Scene;
@@ -104,14 +105,14 @@ struct Waiting {
 /// Frames whose figures are waited for at once. Those of frames beyond are not asked for.
 const WAITING: usize = 3;
 
-impl<'a> GpuRenderer<'a> {
+impl GpuRenderer {
     /// On a device that is open already.
     pub fn on_device(
-        scene: &'a Scene,
-        resident: &'a Resident,
+        scene: &Arc<Scene>,
+        resident: &Arc<Resident>,
         options: GpuOptions,
         device: &Device,
-    ) -> Result<GpuRenderer<'a>> {
+    ) -> Result<GpuRenderer> {
         GpuRenderer::with_engine(scene, resident, options, || Ok(Engine::with_device(device.clone(), options.trusted)))
     }
 
@@ -645,8 +646,8 @@ mod tests {
     #[test]
     fn present_shows_the_picture_that_is_rendered() {
         let Some(device) = device() else { return };
-        let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
-        let resident = Resident::new(&scene);
+        let scene = Arc::new(build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap());
+        let resident = Arc::new(Resident::new(&scene));
         let mut gpu = GpuRenderer::on_device(&scene, &resident, GpuOptions::default(), &device).unwrap();
         assert!(gpu.picture().is_none());
         let options = Options::default();
@@ -692,8 +693,8 @@ mod tests {
     #[test]
     fn present_copies_and_writes_what_the_pass_draws_bit_for_bit() {
         let Some(device) = device() else { return };
-        let scene = build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap();
-        let resident = Resident::new(&scene);
+        let scene = Arc::new(build(procedural(Kind::Terrain, 64, 1).unwrap(), &BuildOptions::default()).unwrap());
+        let resident = Arc::new(Resident::new(&scene));
         let mut gpu = GpuRenderer::on_device(&scene, &resident, GpuOptions::default(), &device).unwrap();
         let options = Options::default();
         for size in [[192, 107], [1920, 1080]] {

@@ -118,7 +118,8 @@ fn check_folder(folder: &FilePath) -> Result<()> {
 
 /// The GPU's name and its kernels, the fastest first; none where it is not to be measured.
 fn gpu(world: &World, device: Device, tell: &mut dyn FnMut(&str)) -> Result<(Option<String>, Vec<&'static str>)> {
-    let open = |device, tell: &mut dyn FnMut(&str)| Renderer::new(&world.scene, &world.resident, device, None, tell);
+    let open =
+        |device, tell: &mut dyn FnMut(&str)| Renderer::with_kernel(&world.scene, &world.resident, device, None, tell);
     match device {
         Device::Cpu => return Ok((None, Vec::new())),
         Device::Exact => {

@@ -15,6 +15,7 @@ use crate::resident::Resident;
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, MipRule, Scene, build};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Rays a pixel of the truth's colour along each axis.
@@ -34,14 +35,14 @@ pub(crate) const GPU_WAKES: Duration = Duration::from_millis(200);
 
 /// A scene with its levels built by one rule.
 pub struct World {
-    pub scene: Scene,
-    pub resident: Resident,
+    pub scene: Arc<Scene>,
+    pub resident: Arc<Resident>,
 }
 
 impl World {
     pub fn new(scene: Scene) -> World {
-        let resident = Resident::new(&scene);
-        World { scene, resident }
+        let resident = Arc::new(Resident::new(&scene));
+        World { scene: Arc::new(scene), resident }
     }
 
     /// The same world with its levels built anew.
@@ -84,8 +85,8 @@ fn voxel_colors(exposed: &Columns, colors: &[[u8; 3]], a_voxel: bool) -> Colors 
 pub struct Drawer<'a> {
     file: &'a World,
     other: &'a World,
-    cpu: [CpuRenderer<'a>; 2],
-    gpu: HashMap<(&'static str, bool), Renderer<'a>>,
+    cpu: [CpuRenderer; 2],
+    gpu: HashMap<(&'static str, bool), Renderer>,
 }
 
 impl<'a> Drawer<'a> {
@@ -113,10 +114,10 @@ impl Draw for Drawer<'_> {
                     Entry::Occupied(entry) => entry.into_mut(),
                     Entry::Vacant(entry) => {
                         let (scene, resident) = (&world.scene, &world.resident);
-                        entry.insert(Renderer::new(scene, resident, Device::Gpu, Some(kernel), &mut |_| {})?)
+                        entry.insert(Renderer::with_kernel(scene, resident, Device::Gpu, Some(kernel), &mut |_| {})?)
                     }
                 };
-                renderer.draw(camera, &config.options, outputs, &mut |_| {})
+                renderer.draw_with(camera, &config.options, outputs, &mut |_| {})
             }
         }
     }

@@ -3,6 +3,7 @@
 use crate::resident::Resident;
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, Colors, Columns, Input, Scene, build};
+use std::sync::Arc;
 
 /// A world of the catalogue by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
@@ -45,8 +46,8 @@ pub enum WorldName {
 /// A scene and its tables.
 pub struct World {
     pub name: WorldName,
-    pub scene: Scene,
-    pub resident: Resident,
+    pub scene: Arc<Scene>,
+    pub resident: Arc<Resident>,
 }
 
 impl WorldName {
@@ -112,8 +113,8 @@ impl WorldName {
 
     fn of(self, input: Input) -> World {
         let scene = build(input, &BuildOptions::default()).expect("its size is within every limit");
-        let resident = Resident::new(&scene);
-        World { name: self, scene, resident }
+        let resident = Arc::new(Resident::new(&scene));
+        World { name: self, scene: Arc::new(scene), resident }
     }
 }
 

@@ -2,29 +2,19 @@
 
 use std::sync::Arc;
 
-use self_cell::self_cell;
-
-use super::world::World;
 use crate::camera::Camera;
 use crate::frame::{Frame, Stats};
 use crate::gpu::present::{ByteOrder, Device, Shaded};
 use crate::options::Options;
 use crate::renderer::{CpuRenderer, Outputs};
+use crate::world::World;
 use crate::{Error, GpuOptions, GpuRenderer, Kernel, Result};
 
-enum Painter<'a> {
-    Gpu(Box<GpuRenderer<'a>>),
-    Cpu(CpuRenderer<'a>),
-    Exact(CpuRenderer<'a>),
+enum Painter {
+    Gpu(Box<GpuRenderer>),
+    Cpu(CpuRenderer),
+    Exact(CpuRenderer),
 }
-
-self_cell!(
-    struct Cell {
-        owner: Arc<World>,
-        #[not_covariant]
-        dependent: Painter,
-    }
-);
 
 /// What shall draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,7 +46,8 @@ impl Draws {
 
 /// A scene and what draws it.
 pub struct Drawer {
-    cell: Cell,
+    world: Arc<World>,
+    painter: Painter,
     draws: Draws,
 }
 
@@ -71,20 +62,17 @@ pub enum Drawn {
 impl Drawer {
     /// `device`: where the GPU shall draw.
     pub fn new(world: Arc<World>, draws: Draws, device: Option<&Device>) -> Result<Drawer> {
-        let cell = Cell::try_new(world, |world| {
-            let cpu = || CpuRenderer::new(&world.scene, &world.resident);
-            Ok::<_, Error>(match (draws, device) {
-                (Draws::Cpu, _) => Painter::Cpu(cpu()),
-                (Draws::Exact, _) => Painter::Exact(cpu()),
-                (Draws::Gpu(_), None) => return Err(Error::Device("no usable GPU adapter; try --device cpu".into())),
-                (Draws::Gpu(kernel), Some(device)) => {
-                    let options = GpuOptions { kernel, ..GpuOptions::default() };
-                    let gpu = GpuRenderer::on_device(&world.scene, &world.resident, options, device)?;
-                    Painter::Gpu(Box::new(gpu))
-                }
-            })
-        })?;
-        Ok(Drawer { cell, draws })
+        let cpu = || CpuRenderer::new(&world.scene, &world.resident);
+        let painter = match (draws, device) {
+            (Draws::Cpu, _) => Painter::Cpu(cpu()),
+            (Draws::Exact, _) => Painter::Exact(cpu()),
+            (Draws::Gpu(_), None) => return Err(Error::Device("no usable GPU adapter; try --device cpu".into())),
+            (Draws::Gpu(kernel), Some(device)) => {
+                let options = GpuOptions { kernel, ..GpuOptions::default() };
+                Painter::Gpu(Box::new(GpuRenderer::on_device(&world.scene, &world.resident, options, device)?))
+            }
+        };
+        Ok(Drawer { world, painter, draws })
     }
 
     pub fn draws(&self) -> Draws {
@@ -92,74 +80,68 @@ impl Drawer {
     }
 
     pub fn world(&self) -> &Arc<World> {
-        self.cell.borrow_owner()
+        &self.world
     }
 
     /// Takes another kernel of the GPU's from the next frame on.
     pub fn set_kernel(&mut self, kernel: Kernel) {
-        self.cell.with_dependent_mut(|_, painter| {
-            if let Painter::Gpu(gpu) = painter {
-                gpu.set_kernel(kernel, None);
-                self.draws = Draws::Gpu(kernel);
-            }
-        });
+        if let Painter::Gpu(gpu) = &mut self.painter {
+            gpu.set_kernel(kernel, None);
+            self.draws = Draws::Gpu(kernel);
+        }
     }
 
     /// Draws one frame, where it is to be shown.
     pub fn draw(&mut self, camera: &Camera, options: &Options) -> Result<Drawn> {
         let options = &self.draws.options(options);
-        self.cell.with_dependent_mut(|_, painter| {
-            Ok(match painter {
-                Painter::Gpu(gpu) => {
-                    gpu.draw(camera, options)?;
-                    Drawn::OnDevice
-                }
-                Painter::Cpu(cpu) => Drawn::Here(Box::new(cpu.render(camera, options, Outputs::default())?)),
-                Painter::Exact(cpu) => Drawn::Here(Box::new(cpu.exact(camera, options, Outputs::default())?)),
-            })
+        Ok(match &mut self.painter {
+            Painter::Gpu(gpu) => {
+                gpu.draw(camera, options)?;
+                Drawn::OnDevice
+            }
+            Painter::Cpu(cpu) => Drawn::Here(Box::new(cpu.render(camera, options, Outputs::default())?)),
+            Painter::Exact(cpu) => Drawn::Here(Box::new(cpu.exact(camera, options, Outputs::default())?)),
         })
     }
 
     /// Draws one frame as `render` would, and brings it here; with voxels if they are asked for.
     pub fn render(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         let options = &self.draws.options(options);
-        self.cell.with_dependent_mut(|_, painter| match painter {
+        match &mut self.painter {
             Painter::Gpu(gpu) => gpu.render(camera, options, outputs),
             Painter::Cpu(cpu) => cpu.render(camera, options, outputs),
             Painter::Exact(cpu) => cpu.exact(camera, options, outputs),
-        })
+        }
     }
 
     /// How the pixels lie in their bytes that [`Drawer::draw`] leaves on the device.
     pub fn set_order(&mut self, order: ByteOrder) {
-        self.cell.with_dependent_mut(|_, painter| {
-            if let Painter::Gpu(gpu) = painter {
-                gpu.set_order(order);
-            }
-        });
+        if let Painter::Gpu(gpu) = &mut self.painter {
+            gpu.set_order(order);
+        }
     }
 
     /// The picture that [`Drawer::draw`] left on the device.
     pub fn with_picture<T>(&self, look: impl FnOnce(Shaded<'_>) -> T) -> Option<T> {
-        self.cell.with_dependent(|_, painter| match painter {
+        match &self.painter {
             Painter::Gpu(gpu) => gpu.picture().map(look),
             _ => None,
-        })
+        }
     }
 
     /// Frames on the device that are not done, as far as they are waited for.
     pub fn waiting(&self) -> usize {
-        self.cell.with_dependent(|_, painter| match painter {
+        match &self.painter {
             Painter::Gpu(gpu) => gpu.waiting(),
             _ => 0,
-        })
+        }
     }
 
     /// What the latest frame on the device cost of which that is known by now; an error where the device has failed.
     pub fn figures(&mut self) -> Result<Option<Stats>> {
-        self.cell.with_dependent_mut(|_, painter| match painter {
+        match &mut self.painter {
             Painter::Gpu(gpu) => gpu.figures(),
             _ => Ok(None),
-        })
+        }
     }
 }

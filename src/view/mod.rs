@@ -2,7 +2,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`world`] | a scene, opened or encoded while the window is there already |
+//! | [`crate::world`] | a scene, opened or encoded while the window is there already |
 //! | [`control`] | keys and mouse → pose; walking and collision |
 //! | [`record`] | a flight → a path of keyframes, and back |
 //! | [`pace`] | frame times → fewer or more pixels and planes |
@@ -30,7 +30,6 @@ pub mod record;
 pub mod script;
 #[cfg(feature = "view")]
 mod window;
-pub mod world;
 
 #[cfg(not(target_arch = "wasm32"))]
 use std::path::PathBuf;
@@ -41,6 +40,8 @@ use crate::Result;
 use crate::device::Device;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::options::Options;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::world::OpenOptions;
 
 /// What `planecast view` is told.
 #[cfg(not(target_arch = "wasm32"))]
@@ -48,7 +49,7 @@ use crate::options::Options;
 pub struct Settings {
     /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
     pub input: Option<PathBuf>,
-    pub how: world::How,
+    pub how: OpenOptions,
     /// Where to begin; without an eye, where the scene was left, or a good view.
     pub eye: Option<glam::DVec3>,
     pub yaw: Option<f64>,

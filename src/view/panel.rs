@@ -7,10 +7,10 @@ use planecast_encoder::features::Named;
 
 use super::control::{Control, Mode};
 use super::drawer::Draws;
-use super::world::World;
 use crate::frame::{StageTimes, Stats};
 use crate::options::{Options, Planes, Remap, Shading};
 use crate::preset::Preset;
+use crate::world::World;
 use crate::{Feature, Kernel};
 
 /// Frames that the graph shows.

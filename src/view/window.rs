@@ -22,7 +22,6 @@ use super::pace::Pace;
 use super::panel::{self, Cost, Panel, Subject, Wish};
 use super::record::Recorder;
 use super::script::{self, Action, Script};
-use super::world::{Opening, World};
 use super::{Settings, last, pose_flags};
 use crate::camera::Camera;
 use crate::device::Device;
@@ -33,6 +32,7 @@ use crate::path::{Path as Route, Pose};
 use crate::preset::Preset;
 use crate::renderer::{CpuRenderer, Outputs};
 use crate::tour::{self, View};
+use crate::world::{Opening, World};
 use crate::{Error, Kernel, Result, cli, exact, output};
 
 /// Frames that are drawn after the last change, so that figures arrive and egui comes to rest.

@@ -4,6 +4,8 @@
 pub mod any;
 pub mod compare;
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use planecast::{Camera, CpuRenderer, Culling, Frame, Options, Outputs, Resident, Shading};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
@@ -11,8 +13,8 @@ use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Inpu
 /// A scene by name.
 pub struct World {
     pub name: &'static str,
-    pub scene: Scene,
-    pub resident: Resident,
+    pub scene: Arc<Scene>,
+    pub resident: Arc<Resident>,
 }
 
 impl World {
@@ -30,15 +32,15 @@ impl World {
         let columns = Columns::from_fn(nx, ny, nz, solid);
         let colors = Colors::Function(Box::new(|x, y, z| color_of([x as i32, y as i32, z as i32])));
         let scene = build(Input { columns, colors, notes: Vec::new() }, options).unwrap();
-        let resident = Resident::new(&scene);
-        World { name, scene, resident }
+        let resident = Arc::new(Resident::new(&scene));
+        World { name, scene: Arc::new(scene), resident }
     }
 
     pub fn dims(&self) -> [u32; 3] {
         self.scene.dims()
     }
 
-    pub fn renderer(&self) -> CpuRenderer<'_> {
+    pub fn renderer(&self) -> CpuRenderer {
         CpuRenderer::new(&self.scene, &self.resident)
     }
 

@@ -21,6 +21,7 @@ use planecast::{
 };
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
+use std::sync::Arc;
 
 const VOXEL: Outputs = Outputs { voxel: true };
 
@@ -34,15 +35,15 @@ fn gpu_wanted() -> bool {
 }
 
 struct World {
-    scene: Scene,
-    resident: Resident,
+    scene: Arc<Scene>,
+    resident: Arc<Resident>,
 }
 
 fn world(kind: Kind, size: u32, encoding: Encoding, color: ColorMode) -> World {
     let input = procedural(kind, size, 7).unwrap();
     let scene = build(input, &BuildOptions { encoding, color: Some(color), ..BuildOptions::default() }).unwrap();
-    let resident = Resident::new(&scene);
-    World { scene, resident }
+    let resident = Arc::new(Resident::new(&scene));
+    World { scene: Arc::new(scene), resident }
 }
 
 fn rocks() -> World {
@@ -200,8 +201,8 @@ fn planes_kernels_draw_ceilings_from_the_eye_outwards() {
     let solid = |x: u32, y: u32, z: u32| y == 0 || (y >= 24 && y % 4 < 2 && (x * 7 + z * 13 + y / 4 * 5) % 11 < 7);
     let columns = Columns::from_fn(64, 64, 64, solid);
     let input = Input { columns, colors: Colors::None, notes: Vec::new() };
-    let scene = build(input, &BuildOptions::default()).unwrap();
-    let resident = Resident::new(&scene);
+    let scene = Arc::new(build(input, &BuildOptions::default()).unwrap());
+    let resident = Arc::new(Resident::new(&scene));
     let options = Options { lod: None, ..flat() };
     // In the air, and on the very face of a slab.
     for (y, pitch) in [(12.4, 0.0), (12.4, 30.0), (12.4, 75.0), (12.4, 90.0), (24.0, 20.0), (1.0, -10.0), (1.0, 45.0)] {
@@ -462,7 +463,7 @@ fn frames_drawn_ahead_are_those_asked_for() {
     let world = rocks();
     let cameras = poses(&world);
     let mut tell = |text: &str| panic!("{text}");
-    let mut renderer = Renderer::new(&world.scene, &world.resident, Device::Gpu, None, &mut tell).unwrap();
+    let mut renderer = Renderer::with_kernel(&world.scene, &world.resident, Device::Gpu, None, &mut tell).unwrap();
     let mut draw = |cameras: &[Camera], options: &Options| {
         renderer.draw_first(cameras, options, Outputs::default(), &mut tell).unwrap().color
     };

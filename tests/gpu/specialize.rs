@@ -6,6 +6,7 @@ use planecast::specialize::{Specialization, Twin};
 use planecast::{Feature, Features};
 use planecast_encoder::features::Named;
 use std::collections::HashSet;
+use std::sync::Arc;
 
 /// Ground of uneven height, with pits down to nothing.
 fn pits() -> World {
@@ -19,13 +20,13 @@ fn pits() -> World {
         }
     }
     let scene = scene_of(n, ny, |x, y, z| y < columns[(z * n + x) as usize]);
-    World { resident: Resident::new(&scene), scene }
+    World { resident: Arc::new(Resident::new(&scene)), scene }
 }
 
-fn scene_of(n: u32, ny: u32, solid: impl Fn(u32, u32, u32) -> bool + Sync) -> Scene {
+fn scene_of(n: u32, ny: u32, solid: impl Fn(u32, u32, u32) -> bool + Sync) -> Arc<Scene> {
     let columns = Columns::from_fn(n, ny, n, solid);
     let input = Input { columns, colors: Colors::None, notes: Vec::new() };
-    build(input, &BuildOptions::default()).unwrap()
+    Arc::new(build(input, &BuildOptions::default()).unwrap())
 }
 
 fn cameras(world: &World) -> Vec<Camera> {
@@ -76,7 +77,7 @@ fn differs(a: &Frame, b: &Frame) -> Option<String> {
 
 /// Draws a grid of poses and options with every set of features; what was drawn, and what differs from the general kernel.
 fn differing(world: &World, kernel: Kernel) -> (HashSet<Features>, Vec<String>) {
-    let general = Resident::with(&world.scene, Features::NONE);
+    let general = Arc::new(Resident::with(&world.scene, Features::NONE));
     let mut plain = GpuRenderer::new(&world.scene, &general, gpu_options(kernel)).unwrap();
     let mut special = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
     let (mut met, mut faults) = (HashSet::new(), Vec::new());
@@ -143,7 +144,7 @@ fn specialization_check_catches_a_picture_that_differs() {
     }
     let [mut right, wrong] = [0, 1].map(|more| {
         let scene = scene_of(48, 40, |x, y, z| y < 9 + more * u32::from(x == 24 && z == 20));
-        World { resident: Resident::new(&scene), scene }
+        World { resident: Arc::new(Resident::new(&scene)), scene }
     });
     right.resident = wrong.resident;
     let (_, faults) = differing(&right, Kernel::Workgroup);

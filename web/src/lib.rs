@@ -17,7 +17,7 @@ use planecast::path::Pose;
 use planecast::tour::{self, View};
 use planecast::view::control::{Control, Ground, Mode};
 use planecast::view::drawer::{Drawer, Drawn, Draws};
-use planecast::view::world::World;
+use planecast::World;
 use planecast::{CpuRenderer, Kernel, Options, Outputs, exact};
 use planecast_encoder::{ArrivingFile, Scene, arriving, write};
 use serde_json::json;
