@@ -150,6 +150,8 @@ pub(super) struct Crs {
     pub up: Option<Length>,
     /// Heights are depths: they grow downwards.
     pub down: bool,
+    /// What of it contradicts itself, and what was taken; mostly empty.
+    pub clash: String,
     body: Ellipsoid,
     stretch: Stretch,
 }
@@ -163,6 +165,7 @@ impl Default for Crs {
             unit_name: String::new(),
             up: None,
             down: false,
+            clash: String::new(),
             body: EARTH,
             stretch: Stretch::None,
         }
@@ -421,6 +424,10 @@ impl Crs {
             crs = crs.with_vertical(code);
         }
         if let Some(unit) = short(4099).and_then(Length::of_epsg) {
+            // Clouds of the USA have NAVD 88 in metres beside feet, and mean feet.
+            if let Some(of_code) = crs.up.as_ref().filter(|up| up.metres != unit.metres) {
+                crs.clash = format!("heights in {} by their unit, in {} by their system", unit.name, of_code.name);
+            }
             crs.up = Some(unit);
         }
         crs
@@ -518,6 +525,8 @@ impl Place {
     pub fn of_tags(scale: &[f64], ties: &[f64], matrix: &[f64], point: bool) -> Option<[[f64; 3]; 2]> {
         let mut affine = match (scale, ties, matrix) {
             (&[sx, sy, ..], &[column, row, _, x, y, ..], _) if sx != 0.0 && sy != 0.0 => {
+                // As GDAL has it, a side below 0 turns nothing about.
+                let sy = sy.abs();
                 [[sx, 0.0, x - column * sx], [0.0, -sy, y + row * sy]]
             }
             (_, _, &[a, b, _, c, d, e, _, f, ..]) if a * e - b * d != 0.0 => [[a, b, c], [d, e, f]],

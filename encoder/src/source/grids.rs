@@ -136,6 +136,7 @@ pub(super) fn asc(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Map> 
     let mut heights = Heights::new(width, height)?;
     let mut words = Words { bytes, at: head.at };
     let mut row = vec![0.0f32; width as usize];
+    let mut by_default = false;
     for z in 0..height {
         for (x, out) in row.iter_mut().enumerate() {
             let Some((at, word)) = words.next() else {
@@ -147,6 +148,7 @@ pub(super) fn asc(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Map> 
                 let text = String::from_utf8_lossy(&word[..word.len().min(32)]).into_owned();
                 return Err(fault(at, format!("{text:?} in row {z}, column {x}; a height was expected")));
             };
+            by_default |= value == none && nodata.is_none();
             *out = if value == none { f32::NAN } else { value as f32 };
         }
         heights.put(0, z, width, &row)?;
@@ -155,7 +157,8 @@ pub(super) fn asc(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Map> 
     if let Some((at, _)) = words.next() {
         about.left_out.push(format!("what follows the grid, from byte {at} on"));
     }
-    Ok(Map { place: Some(asc_place(path, &head)), nodata_known: true, about, ..Map::of(heights) })
+    let rules = by_default.then(|| "-9999 stands for no data, the format's default".to_owned()).into_iter().collect();
+    Ok(Map { place: Some(asc_place(path, &head)), nodata_known: true, rules, about, ..Map::of(heights) })
 }
 
 /// Sides of an SRTM tile, in samples, and its place where the name has it.

@@ -202,8 +202,11 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         (about.voxel, about.unit) = (Some([x, unit.metres / scale, z]), "m".to_owned());
     }
     if let Some(place) = &place {
+        let [[a, _, b, c], [d, _, e, f], [_, up, _, low]] = place.world(base, scale);
+        notes.push(format!("east = {a} x + {b} z + {c}, north = {d} x + {e} z + {f}, height = {up} y + {low}"));
         about.affine = Some(place.world(base, scale));
         about.crs = place.crs.name.clone();
+        rules.extend(Some(place.crs.clash.clone()).filter(|c| !c.is_empty()));
         if place.crs.down {
             rules.push("the reference system counts downwards; values are drawn upwards, as stored".to_owned());
         }
@@ -284,9 +287,6 @@ fn read_image(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> R
         Some(map) => map,
         None => whole(path, &decode(path, bytes)?, opts)?,
     };
-    if opts.rgb.is_none() && map.rules.is_empty() && is_palette(bytes) {
-        map.rules.push("the brightness of palette colours is the height".to_owned());
-    }
     map.about.format = if png { "PNG" } else { "JPEG" }.to_owned();
     let endings: &[&str] = if png { &["pgw", "pngw", "wld"] } else { &["jgw", "jpgw", "jpegw", "wld"] };
     if let Some(affine) = geotiff::world_file(path, endings) {
@@ -297,13 +297,8 @@ fn read_image(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> R
     Ok(map)
 }
 
-/// Whether a PNG's pixels are numbers of colours.
-fn is_palette(png: &[u8]) -> bool {
-    png.starts_with(b"\x89PNG") && png.get(25) == Some(&3)
-}
-
-/// What the pixels of an image become: `n` samples of a pixel, as wide as 16 bits.
-fn heights_of(samples: &[u16], wide: bool, opts: &ReadOptions) -> f32 {
+/// The height that the samples of a pixel stand for; `wide` ones have 16 bits.
+fn height_of(samples: &[u16], wide: bool, opts: &ReadOptions) -> f32 {
     let (color, alpha) = match samples {
         [v] => ([*v; 3], None),
         [v, a] => ([*v; 3], Some(*a)),
@@ -325,7 +320,7 @@ fn heights_of(samples: &[u16], wide: bool, opts: &ReadOptions) -> f32 {
     }
 }
 
-/// A map from rows of an image, each pixel of `n` samples.
+/// A map that is made from rows of an image, each pixel of so many samples.
 struct Picture {
     heights: Heights,
     samples: usize,
@@ -353,7 +348,7 @@ impl Picture {
             self.clear += alpha().filter(|a| **a == 0).count() as u64;
             self.partly += alpha().filter(|a| **a != 0 && **a != most).count() as u64;
         }
-        let values: Vec<f32> = row.chunks_exact(self.samples).map(|p| heights_of(p, self.wide, opts)).collect();
+        let values: Vec<f32> = row.chunks_exact(self.samples).map(|p| height_of(p, self.wide, opts)).collect();
         self.heights.put(0, z, self.heights.width, &values)
     }
 
