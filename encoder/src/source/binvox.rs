@@ -90,7 +90,9 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<InMe
         return Err(Error::format(path, format!("byte {end}: the file ends after {n} of {cells} voxels")));
     }
     if h != w {
-        left_out.push(format!("any other order of the sides {d}, {h}, {w}, which are read as x, z, y: the format wants them equal"));
+        left_out.push(format!(
+            "any other order of the sides {d}, {h}, {w}, which are read as x, z, y: the format wants them equal"
+        ));
     }
 
     let sides = [d, w, h];
@@ -126,12 +128,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<InMe
         .to_owned(),
         voxel: Some(axes.map(|a| side[a])),
         affine: Some(affine),
-        rule: if indices {
-            "values other than 0"
-        } else {
-            "values of 1"
-        }
-        .to_owned(),
+        rule: if indices { "values other than 0" } else { "values of 1" }.to_owned(),
         left_out,
         ..About::new(Kind::Volume, "binvox")
     };

@@ -3,7 +3,8 @@
 //! | module | reads | world |
 //! |---|---|---|
 //! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
-//! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
+//! | `heightmap`, `geotiff`, `grids`, `dem` | PNG, JPEG, TIFF, GeoTIFF, ESRI ASCII grids, SRTM, RAW16, USGS DEM | image column is x, row is z |
+//! | `mosaic` | folders of tiles of a map | x is east, z is south |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
@@ -43,13 +44,16 @@ mod binvox;
 mod cells;
 mod dem;
 mod geo;
+mod geotiff;
 mod gox;
+mod grids;
 mod heightmap;
 mod heights;
 mod kv6;
 #[cfg(feature = "las")]
 mod lidar;
 mod mesh;
+mod mosaic;
 mod pcd;
 mod pixels;
 mod ply;
@@ -60,6 +64,7 @@ mod spots;
 mod stack;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
+mod tiff;
 mod volume;
 mod vox;
 mod vxl;
@@ -93,7 +98,7 @@ pub struct ReadOptions {
     /// Axis of a volume that points up [default: y]
     #[arg(long, value_enum, value_name = "AXIS")]
     pub up: Option<Up>,
-    /// Size of a raw volume in voxels, x fastest in the file
+    /// Size of a raw volume in voxels, x fastest in the file; X,Y of a .r16 terrain
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims)]
     pub dims: Option<[u64; 3]>,
     /// Value type of a raw volume, little-endian [default: u8]
@@ -123,6 +128,21 @@ pub struct ReadOptions {
     /// What colours a cloud of points
     #[arg(long, value_enum, value_name = "WHAT", default_value = "auto")]
     pub color_by: ColorBy,
+    /// Heights of a PNG or TIFF that its colours code, as web maps have them
+    #[arg(long, value_enum, value_name = "CODE")]
+    pub rgb: Option<HeightCode>,
+    /// Value of a height map that stands for no data [default: what the file says]
+    #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
+    pub nodata: Option<f64>,
+}
+
+/// How colours code heights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum HeightCode {
+    /// Mapbox's Terrain-RGB: tenths of metres from -10000 on
+    Mapbox,
+    /// Terrarium (Mapzen, AWS): 256ths of metres from -32768 on
+    Terrarium,
 }
 
 /// Kinds of input.
@@ -140,6 +160,12 @@ pub enum Format {
     Heightmap,
     /// USGS ASCII digital elevation model
     Dem,
+    /// ESRI ASCII grid of heights
+    Asc,
+    /// SRTM tile of heights, plain or gzip
+    Hgt,
+    /// 16-bit heights without a header, square or --dims X,Y
+    R16,
     /// TIFF images as slices of a volume: the pages of a file, or the files of a folder
     Stack,
     /// Voxlap or Ace of Spades map
@@ -173,7 +199,7 @@ pub enum Format {
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .pcd, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel, Slab6), .kv6, .kvx, .qb (Qubicle), .gox (Goxel), .binvox, procedural:KIND";
+    (.png, .jpg, .tif, .dem, .asc, .hgt, .r16, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .pcd, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel, Slab6), .kv6, .kvx, .qb (Qubicle), .gox (Goxel), .binvox, procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -222,9 +248,17 @@ fn positive(s: &str) -> Result<f64, String> {
     number(s).ok().filter(|&v| v > 0.0 && v.is_finite()).ok_or_else(|| "expected a number above 0".to_owned())
 }
 
+/// A number, or "nan".
+fn any_number(s: &str) -> Result<f64, String> {
+    s.trim().parse().map_err(|_| "expected a number".to_owned())
+}
+
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
-    let wrong = || "expected three whole numbers, as in 256,128,64".to_owned();
-    let parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let wrong = || "expected three whole numbers, as in 256,128,64 (two for .r16)".to_owned();
+    let mut parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    if parts.len() == 2 {
+        parts.push(1);
+    }
     let dims: [u64; 3] = parts.try_into().map_err(|_| wrong())?;
     if dims.contains(&0) {
         return Err("every size must be at least 1".to_owned());
@@ -284,13 +318,18 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         return zarr_folder(path, opts);
     }
     let failed = |e| Error::io(path, "read", e);
-    let mut files = Vec::new();
+    let (mut files, mut grids) = (Vec::new(), Vec::new());
     for entry in fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
         let kind = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         if matches!(kind.as_str(), "tif" | "tiff") {
             files.push(file);
+        } else if matches!(kind.as_str(), "asc" | "hgt") {
+            grids.push(file);
         }
+    }
+    if files.is_empty() {
+        files = grids;
     }
     // Numbers in names by their value: slice2 before slice10.
     files.sort_by_cached_key(|file| {
@@ -303,11 +342,11 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     let Some(first) = files.first() else {
         return Err(Error::format(
             path,
-            "a folder without .tif files and no Zarr; expected the slices of a volume or tiles of a map",
+            "a folder without .tif, .asc or .hgt files and no Zarr; expected the slices of a volume or tiles of a map",
         ));
     };
-    if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
-        return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));
+    if opts.format != Some(Format::Stack) && mosaic::is_tile(first)? {
+        return Ok(Box::new(mosaic::mosaic(path, &files, opts)?));
     }
     Ok(Box::new(stack::read(path, &files, opts)?))
 }
@@ -342,7 +381,7 @@ pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
 fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> Result<World<'a>> {
     let format = match opts.format {
         Some(format) => format,
-        None if opts.dims.is_some() => Format::Raw,
+        None if opts.dims.is_some() && !is_r16(path) => Format::Raw,
         None if kv6::is_slab6(bytes, bytes.len() as u64)
             && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vox")) =>
         {
@@ -357,7 +396,9 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         }
     };
     let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack);
-    let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
+    let is_image = format == Format::Heightmap;
+    let is_map = is_image || matches!(format, Format::Dem | Format::Npy | Format::Asc | Format::Hgt | Format::R16);
+    let is_headless = matches!(format, Format::Raw | Format::R16);
     let is_cloud = matches!(format, Format::Ply | Format::Las | Format::Pcd);
     let is_mesh = is_cloud || matches!(format, Format::Stl | Format::Obj | Format::Gltf);
     unused("--las-classes", opts.las_classes.is_some() && format != Format::Las, "it is for LAS");
@@ -371,14 +412,19 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
-    unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
-    unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
+    unused("--dtype", opts.dtype.is_some() && !is_headless, "the file states its type");
+    unused("--dims", opts.dims.is_some() && !is_headless, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
+    unused("--rgb", opts.rgb.is_some() && !is_image, "it is for images of heights in colours");
+    unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
         && let Some(heights) = volume::npy_heights(path, bytes, in_file)?
     {
-        return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
+        let mut map = heightmap::Map::of(heights);
+        map.about.format = "NPY".to_owned();
+        map.notes.append(&mut notes);
+        return boxed(heightmap::rows(path, map, bytes.len() as u64, opts));
     }
     let mut volume = |volume: Result<volume::Volume<'a>>| {
         let mut volume = volume?;
@@ -400,9 +446,15 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             map.notes.append(&mut notes);
             return boxed(Ok(map));
         }
-        Format::Dem => {
-            let (heights, pixel) = dem::read(path, bytes)?;
-            return boxed(heightmap::of_heights(path, heights, Some(pixel), bytes.len() as u64, opts));
+        Format::Dem | Format::Asc | Format::Hgt | Format::R16 => {
+            let mut map = match format {
+                Format::Dem => dem::read(path, bytes),
+                Format::Asc => grids::asc(path, bytes, opts),
+                Format::Hgt => grids::hgt(path, bytes, opts),
+                _ => grids::r16(path, bytes, opts),
+            }?;
+            map.notes.append(&mut notes);
+            return boxed(heightmap::rows(path, map, bytes.len() as u64, opts));
         }
         Format::Stack => return volume(stack::read(path, &[path.to_owned()], opts)),
         Format::Vxl => vxl::read(path, bytes),
@@ -452,6 +504,10 @@ fn without<T>(path: &Path, what: &str, feature: &str) -> Result<T> {
     Err(Error::Argument(format!("{path}: this planecast reads no {what}; build it with --features {feature}")))
 }
 
+fn is_r16(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("r16"))
+}
+
 /// The kind of a file from its first bytes (at least 64 KiB of them, or all), and where those tell nothing, from
 /// its name.
 pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
@@ -466,6 +522,10 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     match name.rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
         "dem" => Ok(Format::Dem),
+        "asc" => Ok(Format::Asc),
+        "hgt" => Ok(Format::Hgt),
+        "gz" if name.ends_with(".hgt.gz") => Ok(Format::Hgt),
+        "r16" => Ok(Format::R16),
         "stl" => Ok(Format::Stl),
         "obj" => Ok(Format::Obj),
         "gltf" => Ok(Format::Gltf),
@@ -508,6 +568,9 @@ fn detect_content(head: &[u8]) -> Option<Format> {
         (b"LASF", Format::Las),
         (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
     ];
+    if grids::is_asc(head) {
+        return Some(Format::Asc);
+    }
     if let Some((_, format)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Some(*format);
     }
