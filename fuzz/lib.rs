@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use bytemuck::pod_read_unaligned;
 use planecast_encoder::format::{Header, TileEntry};
-use planecast_encoder::source::{Dtype, Format, ReadOptions, Up, open, read};
+use planecast_encoder::source::{Dtype, Format, HeightCode, PointSize, ReadOptions, Up, open, read};
 use planecast_encoder::verify::{Depth, verify};
 use planecast_encoder::write::write_scene_to;
 use planecast_encoder::{Colors, Input, PcastFile, Scene};
@@ -22,7 +22,11 @@ pub fn import(format: Format, bytes: &[u8]) {
         iso: (flags & 2 != 0).then_some(f64::from(*iso) - 64.0),
         // Meshes and clouds of points: few voxels, many runs.
         size: Some(16),
+        point_size: (flags & 16 != 0).then_some(PointSize::Auto),
+        las_classes: (flags & 32 != 0).then(|| "2-6,18".parse().expect("classes")),
         height_scale: (flags & 4 != 0).then_some(f64::from(*iso) / 16.0 - 2.0),
+        rgb: (flags & 16 != 0).then_some(HeightCode::Mapbox),
+        nodata: (flags & 32 != 0).then_some(f64::from(*iso)),
         ..ReadOptions::default()
     };
     let mut bytes = bytes;

@@ -1,11 +1,15 @@
 //! USGS ASCII DEM: records of 1,024 bytes, profiles from south to north, west to east.
 //!
-//! After the USGS standard for digital elevation models, part 2. Elevations become metres, pixels are as wide as the
-//! file says; only files in metres or feet on the ground are read, not those in arc seconds with unequal sides.
+//! After the USGS standard for digital elevation models, part 2. Elevations become metres; the ground is in metres or feet of a
+//! map, or in arc seconds. Of reference systems UTM and degrees have a code here, state planes have none.
 
 use std::path::Path;
 
+use super::geo::{Crs, Length, Model, Place};
+use super::heightmap::{Map, Up};
 use super::heights::Heights;
+use crate::About;
+use crate::about::Kind;
 use crate::{Error, Result};
 
 const RECORD: usize = 1024;
@@ -15,8 +19,8 @@ const NO_DATA: f64 = -32_767.0;
 /// Where a profile starts, east and north, and its heights from south to north.
 type Profile = (f64, f64, Vec<f32>);
 
-/// Heights in metres, north up, and the width of a pixel in metres.
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Heights, f64)> {
+/// Heights in metres, north up.
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Map> {
     let fault = |at: usize, what: String| Error::format(path, format!("byte {at}: USGS DEM: {what}"));
     // Some tools strip the padding of records, or put line ends into it.
     let field = |at: usize, len: usize| -> Option<f64> {
@@ -31,12 +35,20 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Heights, f64)> {
         2 => Ok(1.0),
         _ => Err(fault(at, format!("unit {unit}; 1 (feet) or 2 (metres) was expected"))),
     };
-    let ground = metres(need(528, 6, "the unit of the ground")?, 528)?;
+    let crs = reference(&field, need(528, 6, "the unit of the ground")?).ok_or_else(|| {
+        fault(528, "the unit of the ground; 1 (feet), 2 (metres) or 3 (arc seconds) was expected".to_owned())
+    })?;
     let up = metres(need(534, 6, "the unit of elevations")?, 534)?;
     let (dx, dy) = (need(816, 12, "the distance of profiles")?, need(828, 12, "the distance of points")?);
     let dz = need(840, 12, "the resolution of elevations")?;
     let profiles = need(858, 6, "the number of profiles")?;
-    if dx != dy || !(dx > 0.0 && dx.is_finite() && dz.is_finite() && (1.0..=100_000.0).contains(&profiles)) {
+    if !(dx > 0.0
+        && dx.is_finite()
+        && dy > 0.0
+        && dy.is_finite()
+        && dz.is_finite()
+        && (1.0..=100_000.0).contains(&profiles))
+    {
         return Err(fault(816, format!("{profiles} profiles {dx} apart, points {dy} apart, elevations by {dz}")));
     }
     // Each profile has a place, and its own number of points.
@@ -84,5 +96,46 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Heights, f64)> {
             grid[(height - 1 - bottom - i) * width + column] = value;
         }
     }
-    Ok((Heights::of(width as u32, height as u32, &grid)?, dx * ground))
+    // Profiles are places of samples, pixels lie around them.
+    let degrees = if crs.model == Model::Geographic { 3600.0 } else { 1.0 };
+    let corner = [(west - dx / 2.0) / degrees, (south + (height as f64 - 0.5) * dy) / degrees];
+    let place = Place::north_up(crs, corner, [dx / degrees, dy / degrees]);
+    Ok(Map {
+        place: Some(place),
+        up: Up::Length(Length::metre()),
+        nodata_known: true,
+        about: About::new(Kind::Terrain, "USGS DEM"),
+        ..Map::of(Heights::of(width as u32, height as u32, &grid)?)
+    })
+}
+
+/// The reference system that a head names: code 0 is degrees, 1 UTM; datums are NAD27, WGS 72, WGS 84, NAD83.
+fn reference(field: &impl Fn(usize, usize) -> Option<f64>, unit: f64) -> Option<Crs> {
+    let system = field(156, 6).unwrap_or(-1.0) as i64;
+    let zone = field(162, 6).filter(|z| (1.0..=60.0).contains(z)).map(|z| z as u16);
+    // Old files have no datum: all of them are of NAD27.
+    let datum = field(890, 2).unwrap_or(1.0) as i64;
+    Some(match (unit as i64, system, zone) {
+        (3, _, _) => Crs::epsg(
+            match datum {
+                2 => 4322,
+                3 => 4326,
+                4 => 4269,
+                _ => 4267,
+            },
+            Model::Geographic,
+        ),
+        (2, 1, Some(zone)) => {
+            let base = match datum {
+                2 => 32_200,
+                3 => 32_600,
+                4 => 26_900,
+                _ => 26_700,
+            };
+            Crs::epsg(base + zone, Model::Projected)
+        }
+        (2, ..) => Crs::lengths(Length::metre()),
+        (1, ..) => Crs::lengths(Length::of_epsg(9002)?),
+        _ => return None,
+    })
 }

@@ -1,28 +1,32 @@
-//! Height maps: PNG, JPEG, TIFF, GeoTIFF, with or without a colour map.
+//! Height maps: PNG, JPEG, TIFF, GeoTIFF, ESRI grids, SRTM tiles, 16-bit terrains, with or without a colour map.
 //!
-//! Image column is x, row is z. A column is solid for 0 ≤ y ≤ round(S · value); a pixel without data (GDAL's no-data
-//! value, NaN, infinity) is an empty column. S is `--height-scale`, or else
+//! Image column is x, row is z. A column is solid for 0 ≤ y ≤ round(S · value); a pixel without data (the file's no-data
+//! value or `--nodata`, what a mask or alpha leaves out, NaN, infinity) is an empty column. S is `--height-scale`, or else
 //!
+//! - for a map whose pixels have a size: one voxel is as high as a pixel is wide. Values are metres unless the file says
+//!   otherwise, in its band or in its reference system. Degrees, and metres on a map that stretches them, become metres on
+//!   the ground at the image's centre (`geo`);
 //! - 1 for 8-bit values without a place on Earth;
-//! - for a GeoTIFF with a pixel size: one voxel is as high as a pixel is wide. Values are metres unless the file says
-//!   feet. Degrees become metres at the latitude of the image's centre;
 //! - for other 16-bit or float values 1, or less, so that the highest is a quarter of the longer side at most.
 //!
-//! NPY arrays of two axes and USGS DEMs are height maps, too; a folder of GeoTIFF tiles is one.
+//! Rows that run to the north and columns that run to the west are turned about, so that x is east and z is south; a raster
+//! that is turned by another angle stays as it is stored, and its affine map says how it lies.
+//!
+//! Heights in colours (`--rgb`): Mapbox's are −10000 + (65536 R + 256 G + B) / 10 metres, Terrarium's
+//! 256 R + G + B / 256 − 32768. Black, which is deeper than any sea in both, stands for no data.
 //!
 //! Values below 0 (sea floor) lift the whole map so that its lowest value is 0; otherwise nothing is subtracted.
 
 use std::io::Cursor;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use rayon::prelude::*;
-use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::Tag;
-
+use super::geo::{Crs, Length, Model, Place};
+use super::geotiff;
 use super::heights::Heights;
 use super::pixels::{Pixels, Png, Stream, stream};
-use super::{ReadOptions, guarded, map, world_dims};
+use super::{HeightCode, ReadOptions, guarded, world_dims};
+use crate::about::Kind;
 use crate::pieces::{ColumnColorsFn, RowColors, Rows};
 use crate::{About, ColumnsBuilder, Error, Result, Run};
 
@@ -30,145 +34,189 @@ use crate::{About, ColumnsBuilder, Error, Result, Run};
 /// worth asking memory for.
 const MAX_INFLATION: u64 = 1100;
 
-/// Metres a degree of latitude (WGS 84, mean).
-const METRES_PER_DEGREE: f64 = 111_320.0;
+/// Unit of a map's values.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Up {
+    /// The file does not say.
+    Unsaid,
+    Length(Length),
+    /// Something that is no length: "K", "mm/day".
+    Other(String),
+}
 
 /// A map as a file holds it.
-struct Map {
-    heights: Heights,
+pub(super) struct Map {
+    pub heights: Heights,
     /// Eight-bit values, whose unit is the voxel.
-    eight_bit: bool,
-    /// Width of a pixel in units of the values, and how that was found.
-    pixel: Option<(f64, String)>,
-    notes: Vec<String>,
+    pub eight_bit: bool,
+    pub place: Option<Place>,
+    pub up: Up,
+    /// Something said which pixels have no data.
+    pub nodata_known: bool,
+    /// How the file was read, beyond what goes without saying: each a phrase.
+    pub rules: Vec<String>,
+    pub about: About,
+    pub notes: Vec<String>,
+}
+
+impl Map {
+    /// Heights of which nothing else is known.
+    pub fn of(heights: Heights) -> Map {
+        Map {
+            heights,
+            eight_bit: false,
+            place: None,
+            up: Up::Unsaid,
+            nodata_known: false,
+            rules: Vec::new(),
+            about: About::new(Kind::Terrain, ""),
+            notes: Vec::new(),
+        }
+    }
 }
 
 pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> Result<Rows> {
     let tiff = bytes.starts_with(b"II") || bytes.starts_with(b"MM");
     let map = match tiff {
-        true => guarded(path, "TIFF", || read_tiff(path, stream(path, bytes, in_file)?, bytes.len())),
-        false => read_image(path, bytes, in_file),
+        true => guarded(path, "TIFF", || geotiff::read(path, stream(path, bytes, in_file)?, bytes.len(), opts)),
+        false => read_image(path, bytes, in_file, opts),
     }?;
     rows(path, map, bytes.len() as u64, opts)
 }
 
-/// A grid of heights that were read elsewhere; `pixel` is the width of a pixel in their unit, if known.
-pub(super) fn of_heights(
-    path: &Path,
-    heights: Heights,
-    pixel: Option<f64>,
-    input_bytes: u64,
-    opts: &ReadOptions,
-) -> Result<Rows> {
-    let pixel = pixel.map(|width| (width, format!("{width:.2} m")));
-    rows(path, Map { heights, eight_bit: false, pixel, notes: Vec::new() }, input_bytes, opts)
+/// Values that files without a word for it use for "no data".
+fn stands_for_none(value: f64) -> bool {
+    const USUAL: [f64; 7] = [-9999.0, -99_999.0, -999_999.0, -32_768.0, -32_767.0, -2_147_483_648.0, -10_000.0];
+    USUAL.contains(&value) || value < -1e6
 }
 
-/// GeoTIFF tiles of one grid, put together by the places that they state; what no tile covers has no data.
-pub(super) fn mosaic(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result<Rows> {
-    let mut tiles = Vec::new();
-    let mut input_bytes = 0;
-    for file in files {
-        let bytes = map(file)?;
-        input_bytes += bytes.len() as u64;
-        let (place, size) = guarded(file, "TIFF", || geo_place(file, stream(file, &bytes, true)?, bytes.len()))?;
-        let place = place.ok_or_else(|| Error::format(file, "no place on Earth; every tile of a mosaic needs one"))?;
-        tiles.push((file, place, size));
+/// What the coordinates of a place without a reference system most likely are, and a word on it.
+fn likely(place: &mut Place, width: u32, height: u32) -> Option<String> {
+    if place.crs.model != Model::Unknown {
+        return None;
     }
-    let Some(&(_, GeoPlace { step, .. }, _)) = tiles.first() else {
-        return Err(Error::format(path, "no GeoTIFF tiles"));
+    let corners = [place.at(0.0, 0.0), place.at(width.into(), height.into())];
+    let degrees = corners.iter().all(|[x, y]| x.abs() <= 360.5 && y.abs() <= 90.5);
+    let small = place.affine.iter().all(|[a, b, _]| a.abs().max(b.abs()) <= 2.0);
+    let (crs, what) = match degrees && small {
+        true => (Crs::degrees(), "degrees"),
+        false => (Crs::lengths(Length::metre()), "metres"),
     };
-    if let Some((file, place, _)) = tiles.iter().find(|t| (0..2).any(|i| (t.1.step[i] / step[i] - 1.0).abs() > 1e-6)) {
-        return Err(Error::format(*file, format!("pixels of {:?}, those of the first tile are {step:?}", place.step)));
+    let (up, down, name) = (place.crs.up.take(), place.crs.down, std::mem::take(&mut place.crs.name));
+    place.crs = crs;
+    (place.crs.up, place.crs.down, place.crs.name) = (up, down, name);
+    Some(format!("coordinates taken as {what}, the file names no reference system"))
+}
+
+/// The rows of a world from a map.
+pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<Rows> {
+    let Map { mut heights, eight_bit, place, up, mut nodata_known, mut rules, mut about, mut notes } = map;
+    if let Some(none) = opts.nodata
+        && !nodata_known
+    {
+        heights.drop(none)?;
+        nodata_known = true;
     }
-    let west = tiles.iter().map(|t| t.1.corner[0]).fold(f64::INFINITY, f64::min);
-    let north = tiles.iter().map(|t| t.1.corner[1]).fold(f64::NEG_INFINITY, f64::max);
-    let at =
-        |place: &GeoPlace| [(place.corner[0] - west) / step[0], (north - place.corner[1]) / step[1]].map(f64::round);
-    let ends = tiles.iter().map(|(_, place, size)| [0, 1].map(|i| at(place)[i] + f64::from(size[i])));
-    let [width, height] = ends.fold([0.0, 0.0], |a: [f64; 2], b| [a[0].max(b[0]), a[1].max(b[1])]);
-    let dims = world_dims(path, [width as u64, 1, height as u64], "")?;
-    let mut all = Heights::new(dims[0], dims[2])?;
-    all.clear()?;
-    let (mut pixel, mut notes) = (None, vec![format!("{} tiles, {width} × {height} pixels", tiles.len())]);
-    for (file, place, _) in &tiles {
-        let bytes = map(file)?;
-        let tile = guarded(file, "TIFF", || read_tiff(file, stream(file, &bytes, true)?, bytes.len()))?;
-        let mut row = vec![0.0; tile.heights.width as usize];
-        let [x, z] = at(place).map(|v| v as u32);
-        for i in 0..tile.heights.height {
-            tile.heights.row(0, i, &mut row)?;
-            all.put(x, z + i, tile.heights.width, &row)?;
-        }
-        if pixel.is_none() {
-            (pixel, notes) = (tile.pixel, [notes, tile.notes].concat());
-        }
-    }
-    rows(path, Map { heights: all, eight_bit: false, pixel, notes }, input_bytes, opts)
-}
-
-/// Where a GeoTIFF lies: its north-western corner and the sides of a pixel.
-#[derive(Clone, Copy, Debug)]
-struct GeoPlace {
-    corner: [f64; 2],
-    step: [f64; 2],
-}
-
-fn geo_place(path: &Path, bytes: Box<dyn Stream + '_>, len: usize) -> Result<(Option<GeoPlace>, [u32; 2])> {
-    let fail = |e: tiff::TiffError| Error::format(path, format!("TIFF: {e}"));
-    let mut decoder = Decoder::new(bytes).map_err(fail)?;
-    let (width, height) = decoder.dimensions().map_err(fail)?;
-    plausible(path, width, height, len)?;
-    let mut doubles = |t: Tag| tag(&mut decoder, t).and_then(|v| v.into_f64_vec().ok()).unwrap_or_default();
-    let (scale, tie) = (doubles(Tag::ModelPixelScaleTag), doubles(Tag::ModelTiepointTag));
-    let place = match (scale.as_slice(), tie.as_slice()) {
-        (&[sx, sy, ..], &[column, row, _, x, y, ..]) if sx > 0.0 && sy > 0.0 => {
-            Some(GeoPlace { corner: [x - column * sx, y + row * sy], step: [sx, sy] })
-        }
-        _ => None,
-    };
-    Ok((place, [width, height]))
-}
-
-/// Whether a TIFF says where on Earth it lies.
-pub(super) fn is_geographic(path: &Path, bytes: &[u8]) -> bool {
-    guarded(path, "TIFF", || geo_place(path, stream(path, bytes, false)?, bytes.len()))
-        .is_ok_and(|(place, _)| place.is_some())
-}
-
-fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<Rows> {
-    let Map { heights, eight_bit, pixel, mut notes } = map;
     let Heights { width, height, low, high, .. } = heights;
     if low > high {
         return Err(Error::format(path, "no pixel of the height map has data"));
     }
     let missing = u64::from(width) * u64::from(height) - heights.known;
     if missing > 0 {
-        notes.push(format!("{missing} pixels without data are empty columns"));
+        rules.push(format!("{missing} pixels without data are empty"));
     }
     let base = low.min(0.0);
     if base < 0.0 {
-        notes.push(format!("values start at {low}; all are lifted by {}", -base));
+        rules.push(format!("values start at {low}: all are lifted by {}", -base));
     }
-    let scale = match (opts.height_scale, &pixel) {
+    let hint = match stands_for_none(low) && !nodata_known {
+        true => format!("; the least value {low} may stand for no data (--nodata {low})"),
+        false => String::new(),
+    };
+    if !hint.is_empty() {
+        rules.push(hint.trim_start_matches("; ").to_owned());
+    }
+
+    about.axes = "columns are x, rows are z".to_owned();
+    let mut place = place;
+    rules.extend(place.as_mut().and_then(|p| likely(p, width, height)));
+    let place = place.map(|place| {
+        let flips = place.flips();
+        heights.flips = flips;
+        let turn = place.turn();
+        about.axes = match (turn != 0.0, flips) {
+            (true, _) => format!("columns are x, rows are z, as stored: turned by {turn:.2} degrees from east"),
+            (false, [false, false]) => "columns are x (east), rows are z (south)".to_owned(),
+            (false, [false, true]) => "columns are x (east), rows from the last on are z (south)".to_owned(),
+            (false, [true, false]) => "columns from the last on are x (east), rows are z (south)".to_owned(),
+            (false, [true, true]) => "columns and rows from the last on are x (east) and z (south)".to_owned(),
+        };
+        place.flipped(flips, width, height)
+    });
+    let ground = place.as_ref().map(|place| place.ground(width, height));
+    let stated = match &up {
+        Up::Length(unit) => Some(unit.clone()),
+        Up::Unsaid => place.as_ref().and_then(|p| p.crs.up.clone()),
+        Up::Other(_) => None,
+    };
+    let unit = stated.clone().unwrap_or_else(Length::metre);
+    let mut wide = match ground {
+        Some(Ok(ground)) => Some(ground),
+        Some(Err(why)) => {
+            about.left_out.push(format!("the size of a pixel: {why}"));
+            None
+        }
+        None => None,
+    };
+    if let Up::Other(unit) = &up {
+        rules.push(format!("values are in {unit}, no length"));
+        wide = None;
+    }
+    let scale = match (opts.height_scale, &wide) {
         (Some(s), _) if s.is_finite() && s > 0.0 => s,
         (Some(s), _) => return Err(Error::Argument(format!("--height-scale {s}: expected a number above 0"))),
-        (None, Some((pixel, how))) => {
-            notes.push(format!("height scale {:.6}: one voxel is as high as a pixel is wide ({how})", 1.0 / pixel));
-            1.0 / pixel
+        (None, Some(ground)) => {
+            let scale = unit.metres / ground.metres[0];
+            let how = if ground.how.is_empty() { String::new() } else { format!(" ({})", ground.how) };
+            notes.push(format!("height scale {scale:.6}: one voxel is as high as a pixel is wide{how}"));
+            rules.insert(0, format!("as high as a pixel is wide{how}"));
+            scale
         }
         (None, None) if eight_bit => 1.0,
         (None, None) => {
             let most = f64::from(width.max(height)) / 4.0;
             let scale = if high - base > most { most / (high - base) } else { 1.0 };
-            notes.push(format!("height scale {scale:.6}: the pixel size is not known (--height-scale sets it)"));
+            let what = format!("height scale {scale:.6}: the pixel size is not known (--height-scale sets it)");
+            rules.insert(0, what.clone());
+            notes.push(what);
             scale
         }
     };
+    if let Some(ground) = &wide {
+        match &stated {
+            Some(unit) if unit.name != "m" => rules.push(format!("values in {}", unit.name)),
+            Some(_) => {}
+            None => rules.push("values taken as metres, the file names no unit".to_owned()),
+        }
+        let [x, z] = ground.metres;
+        (about.voxel, about.unit) = (Some([x, unit.metres / scale, z]), "m".to_owned());
+    }
+    if let Some(place) = &place {
+        let [[a, _, b, c], [d, _, e, f], [_, up, _, low]] = place.world(base, scale);
+        notes.push(format!("east = {a} x + {b} z + {c}, north = {d} x + {e} z + {f}, height = {up} y + {low}"));
+        about.affine = Some(place.world(base, scale));
+        about.crs = place.crs.name.clone();
+        rules.extend(Some(place.crs.clash.clone()).filter(|c| !c.is_empty()));
+        if place.crs.down {
+            rules.push("the reference system counts downwards; values are drawn upwards, as stored".to_owned());
+        }
+    }
+    about.values = Some([low, high]);
+    about.rule = rules.join(", ");
     let top = ((high - base) * scale).round();
     if top > 65_535.0 {
         return Err(Error::Limit(format!(
-            "{}: the highest value {high} becomes height {top:.0}, at most 65535 can be held; give --height-scale {:e} or less",
+            "{}: the highest value {high} becomes height {top:.0}, at most 65535 can be held; give --height-scale {:e} or less{hint}",
             path.display(),
             65_535.0 / (high - base)
         )));
@@ -190,7 +238,7 @@ fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) -> Result<R
         }
         Ok(())
     };
-    Ok(Rows { dims, row: Box::new(row), color, notes, about: About::default(), input_bytes })
+    Ok(Rows { dims, row: Box::new(row), color, notes, about, input_bytes })
 }
 
 /// Decodes an image after checking what it claims against the bytes there are.
@@ -224,161 +272,177 @@ pub(super) fn plausible(path: &Path, w: u32, h: u32, len: usize) -> Result<()> {
 }
 
 /// PNG and JPEG.
-fn read_image(path: &Path, bytes: &[u8], in_file: bool) -> Result<Map> {
-    use image::DynamicImage::{ImageLuma8, ImageLuma16, ImageLumaA8, ImageLumaA16, ImageRgb16, ImageRgba16};
-    if bytes.starts_with(b"\x89PNG")
-        && let Some(map) = guarded(path, "image", || read_grey_png(path, stream(path, bytes, in_file)?, bytes.len()))?
-    {
-        return Ok(map);
+fn read_image(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> Result<Map> {
+    let png = bytes.starts_with(b"\x89PNG");
+    let mut map = None;
+    if png {
+        map = guarded(path, "image", || png_by_rows(path, stream(path, bytes, in_file)?, bytes.len(), opts))?;
+    } else if opts.rgb.is_some() {
+        return Err(Error::format(
+            path,
+            "--rgb wants a PNG: JPEG changes the low bits of colours, which are heights here",
+        ));
     }
-    let image = decode(path, bytes)?;
-    let (width, height) = (image.width(), image.height());
-    let mut notes = Vec::new();
-    if image.color().has_color() {
-        notes.push("the height map is a colour image: its brightness is the height".to_owned());
-    }
-    let eight_bit = !matches!(image, ImageLuma16(_) | ImageLumaA16(_) | ImageRgb16(_) | ImageRgba16(_));
-    let values: Vec<f32> = match image {
-        ImageLuma8(i) => i.iter().map(|&v| f32::from(v)).collect(),
-        ImageLumaA8(i) => i.pixels().map(|p| f32::from(p.0[0])).collect(),
-        i if eight_bit => i.to_luma8().iter().map(|&v| f32::from(v)).collect(),
-        i => i.to_luma16().iter().map(|&v| f32::from(v)).collect(),
+    let mut map = match map {
+        Some(map) => map,
+        None => whole(path, &decode(path, bytes)?, opts)?,
     };
-    Ok(Map { heights: Heights::of(width, height, &values)?, eight_bit, pixel: None, notes })
+    map.about.format = if png { "PNG" } else { "JPEG" }.to_owned();
+    let endings: &[&str] = if png { &["pgw", "pngw", "wld"] } else { &["jgw", "jpgw", "jpegw", "wld"] };
+    if let Some(affine) = geotiff::world_file(path, endings) {
+        let text = geotiff::beside(path, &path.with_extension("prj"));
+        map.place = Some(Place { crs: text.and_then(|t| Crs::of_wkt(&t)).unwrap_or_default(), affine });
+    }
+    map.about.left_out.extend(geotiff::aux_beside(path).map(|name| format!("{name} beside it")));
+    Ok(map)
 }
 
-/// A PNG of brightness alone, row by row; None for others.
-fn read_grey_png(path: &Path, bytes: Box<dyn Stream + '_>, len: usize) -> Result<Option<Map>> {
+/// The height that the samples of a pixel stand for; `wide` ones have 16 bits.
+fn height_of(samples: &[u16], wide: bool, opts: &ReadOptions) -> f32 {
+    let (color, alpha) = match samples {
+        [v] => ([*v; 3], None),
+        [v, a] => ([*v; 3], Some(*a)),
+        [r, g, b] => ([*r, *g, *b], None),
+        [r, g, b, a, ..] => ([*r, *g, *b], Some(*a)),
+        [] => ([0; 3], None),
+    };
+    let [r, g, b] = color;
+    match opts.rgb {
+        _ if alpha == Some(0) => f32::NAN,
+        Some(rgb) => rgb.height([r as u8, g as u8, b as u8]),
+        None if r == g && g == b => r.into(),
+        // ITU-R BT.709, as the image crate weighs them.
+        None => {
+            let sum = 2126 * u64::from(r) + 7152 * u64::from(g) + 722 * u64::from(b);
+            let value = (sum / 10_000) as f32;
+            if wide { value } else { value.min(255.0) }
+        }
+    }
+}
+
+/// A map that is made from rows of an image, each pixel of so many samples.
+struct Picture {
+    heights: Heights,
+    samples: usize,
+    wide: bool,
+    clear: u64,
+    partly: u64,
+}
+
+impl Picture {
+    fn new(path: &Path, size: [u32; 2], samples: usize, wide: bool, opts: &ReadOptions) -> Result<Picture> {
+        if opts.rgb.is_some() && (samples < 3 || wide) {
+            let what = if wide { "16-bit samples" } else { "shades of grey" };
+            return Err(Error::format(
+                path,
+                format!("--rgb wants red, green and blue of 8 bits; this image has {what}"),
+            ));
+        }
+        Ok(Picture { heights: Heights::new(size[0], size[1])?, samples, wide, clear: 0, partly: 0 })
+    }
+
+    fn row(&mut self, z: u32, row: &[u16], opts: &ReadOptions) -> Result<()> {
+        if self.samples.is_multiple_of(2) {
+            let most = if self.wide { 65_535 } else { 255 };
+            let alpha = || row.iter().skip(self.samples - 1).step_by(self.samples);
+            self.clear += alpha().filter(|a| **a == 0).count() as u64;
+            self.partly += alpha().filter(|a| **a != 0 && **a != most).count() as u64;
+        }
+        let values: Vec<f32> = row.chunks_exact(self.samples).map(|p| height_of(p, self.wide, opts)).collect();
+        self.heights.put(0, z, self.heights.width, &values)
+    }
+
+    fn map(self, opts: &ReadOptions) -> Map {
+        let mut map = Map { eight_bit: !self.wide, ..Map::of(self.heights) };
+        match opts.rgb {
+            Some(rgb) => {
+                map.rules.push(format!("heights in colours ({rgb:?}), black has no data"));
+                (map.up, map.eight_bit, map.nodata_known) = (Up::Length(Length::metre()), false, true);
+            }
+            None if self.samples > 2 => {
+                map.notes.push("the height map is a colour image: its brightness is the height".to_owned());
+                map.rules.push("the brightness of colours is the height (--rgb where colours code heights)".to_owned());
+            }
+            None => {}
+        }
+        map.nodata_known |= self.clear > 0;
+        if self.clear > 0 {
+            map.rules.push("transparent pixels have no data".to_owned());
+        }
+        if self.partly > 0 {
+            map.about.left_out.push(format!("the alpha of {} pixels that are partly transparent", self.partly));
+        }
+        map
+    }
+}
+
+/// An image that is unpacked whole.
+fn whole(path: &Path, image: &image::DynamicImage, opts: &ReadOptions) -> Result<Map> {
+    use image::DynamicImage::{ImageLuma8, ImageLuma16, ImageLumaA8, ImageLumaA16, ImageRgb8, ImageRgb16, ImageRgba8};
+    let size = [image.width(), image.height()];
+    let picture = |samples: usize, wide: bool, row: &mut dyn FnMut(usize) -> Vec<u16>| {
+        let mut picture = Picture::new(path, size, samples, wide, opts)?;
+        (0..size[1]).try_for_each(|z| picture.row(z, &row(z as usize), opts))?;
+        Ok(picture.map(opts))
+    };
+    let bytes = |raw: &[u8], n: usize, z: usize| {
+        let stride = n * size[0] as usize;
+        raw[z * stride..(z + 1) * stride].iter().map(|&v| u16::from(v)).collect()
+    };
+    let words = |raw: &[u16], n: usize, z: usize| {
+        let stride = n * size[0] as usize;
+        raw[z * stride..(z + 1) * stride].to_vec()
+    };
+    match image {
+        ImageLuma8(i) => picture(1, false, &mut |z| bytes(i, 1, z)),
+        ImageLumaA8(i) => picture(2, false, &mut |z| bytes(i, 2, z)),
+        ImageRgb8(i) => picture(3, false, &mut |z| bytes(i, 3, z)),
+        ImageRgba8(i) => picture(4, false, &mut |z| bytes(i, 4, z)),
+        ImageLuma16(i) => picture(1, true, &mut |z| words(i, 1, z)),
+        ImageLumaA16(i) => picture(2, true, &mut |z| words(i, 2, z)),
+        ImageRgb16(i) => picture(3, true, &mut |z| words(i, 3, z)),
+        other => {
+            let i = other.to_rgba16();
+            picture(4, true, &mut |z| words(&i, 4, z))
+        }
+    }
+}
+
+/// A PNG row by row; None where it is interlaced.
+fn png_by_rows(path: &Path, bytes: Box<dyn Stream + '_>, len: usize, opts: &ReadOptions) -> Result<Option<Map>> {
     let Some(png) = Png::open(path, bytes, len)? else { return Ok(None) };
     let samples = match png.color {
         png::ColorType::Grayscale => 1,
         png::ColorType::GrayscaleAlpha => 2,
-        _ => return Ok(None),
+        png::ColorType::Rgb => 3,
+        png::ColorType::Rgba => 4,
+        png::ColorType::Indexed => return Ok(None),
     };
-    let [width, height] = png.size;
-    let eight_bit = png.depth != png::BitDepth::Sixteen;
-    let mut heights = Heights::new(width, height)?;
+    let wide = png.depth == png::BitDepth::Sixteen;
+    let mut picture = Picture::new(path, png.size, samples, wide, opts)?;
     png.rows(path, |z, row| {
-        let values: Vec<f32> = match eight_bit {
-            true => row.chunks_exact(samples).map(|p| f32::from(p[0])).collect(),
-            false => row.chunks_exact(2 * samples).map(|p| f32::from(u16::from_be_bytes([p[0], p[1]]))).collect(),
+        let row: Vec<u16> = match wide {
+            true => row.as_chunks().0.iter().map(|&b| u16::from_be_bytes(b)).collect(),
+            false => row.iter().map(|&v| v.into()).collect(),
         };
-        heights.put(0, z, width, &values)
+        picture.row(z, &row, opts)
     })?;
-    Ok(Some(Map { heights, eight_bit, pixel: None, notes: Vec::new() }))
+    Ok(Some(picture.map(opts)))
 }
 
-/// TIFF and GeoTIFF, a strip or a tile of it at a time.
-fn read_tiff(path: &Path, bytes: Box<dyn Stream + '_>, len: usize) -> Result<Map> {
-    let fail = |e: tiff::TiffError| Error::format(path, format!("TIFF: {e}"));
-    let mut decoder = Decoder::new(bytes).map_err(fail)?;
-    let (width, height) = decoder.dimensions().map_err(fail)?;
-    plausible(path, width, height, len)?;
-    let color = decoder.colortype().map_err(fail)?;
-    let tiff::ColorType::Gray(bits) = color else {
-        return Err(Error::format(path, format!("TIFF of {color:?}; a height map has one value a pixel")));
-    };
-    // The size is plausible by now, so the decoder's own limit (256 MiB) may follow it.
-    let mut limits = Limits::default();
-    limits.decoding_buffer_size = (u64::from(width) * u64::from(height) * 8).max(1 << 20) as usize;
-    limits.intermediate_buffer_size = limits.decoding_buffer_size;
-    limits.ifd_value_size = len;
-    decoder = decoder.with_limits(limits);
-    let mut notes = Vec::new();
-    let nodata: Option<f64> = tag(&mut decoder, Tag::GdalNodata)
-        .and_then(|v| v.into_string().ok())
-        .and_then(|s| s.trim_matches(['\0', ' ']).parse().ok());
-    let pixel = pixel_width(&mut decoder, height, &mut notes);
-    let (wide, high) = decoder.chunk_dimensions();
-    let across = width.div_ceil(wide.max(1));
-    let mut heights = Heights::new(width, height)?;
-    for chunk in 0..across * height.div_ceil(high.max(1)) {
-        let values: Vec<f32> = match decoder.read_chunk(chunk).map_err(fail)? {
-            DecodingResult::U8(v) => floats(&v, nodata, |v| v.into()),
-            DecodingResult::I8(v) => floats(&v, nodata, |v| v.into()),
-            DecodingResult::U16(v) => floats(&v, nodata, |v| v.into()),
-            DecodingResult::I16(v) => floats(&v, nodata, |v| v.into()),
-            DecodingResult::U32(v) => floats(&v, nodata, |v| v.into()),
-            DecodingResult::I32(v) => floats(&v, nodata, |v| v.into()),
-            // The tag's text may be the f32 value with more digits or fewer.
-            DecodingResult::F32(v) => floats(&v, nodata.map(|n| f64::from(n as f32)), |v| v.into()),
-            DecodingResult::F64(v) => floats(&v, nodata, |v| v),
-            _ => return Err(Error::format(path, "TIFF of 64-bit integers or half floats; convert it to f32")),
+impl HeightCode {
+    /// Metres that a colour stands for; NaN for black.
+    pub(super) fn height(self, [r, g, b]: [u8; 3]) -> f32 {
+        let [red, green, blue] = [r, g, b].map(f64::from);
+        let metres = match self {
+            _ if [r, g, b] == [0; 3] => f64::NAN,
+            HeightCode::Mapbox => (red * 65_536.0 + green * 256.0 + blue) / 10.0 - 10_000.0,
+            HeightCode::Terrarium => red * 256.0 + green + blue / 256.0 - 32_768.0,
         };
-        let (w, h) = decoder.chunk_data_dimensions(chunk);
-        if values.len() as u64 != u64::from(w) * u64::from(h) {
-            return Err(Error::format(path, format!("TIFF: {} values for {w} × {h} pixels", values.len())));
-        }
-        heights.put(chunk % across * wide, chunk / across * high, w, &values)?;
+        metres as f32
     }
-    if decoder.more_images() {
-        notes.push("the TIFF has further pages (overviews, a stack); the first is read".to_owned());
-    }
-    Ok(Map { heights, eight_bit: bits <= 8, pixel, notes })
 }
 
-fn floats<T: Copy + Sync>(values: &[T], nodata: Option<f64>, to_f64: impl Fn(T) -> f64 + Sync) -> Vec<f32> {
-    let value = |&v: &T| match to_f64(v) {
-        v if Some(v) == nodata => f32::NAN,
-        v => v as f32,
-    };
-    values.par_iter().map(value).collect()
-}
-
-/// A tag's value, if the file has it and it is sound.
-fn tag(decoder: &mut Decoder<Box<dyn Stream + '_>>, tag: Tag) -> Option<tiff::decoder::ifd::Value> {
-    decoder.find_tag(tag).ok().flatten()
-}
-
-/// Width of a pixel in units of the values, from the geo tags.
-fn pixel_width(
-    decoder: &mut Decoder<Box<dyn Stream + '_>>,
-    height: u32,
-    notes: &mut Vec<String>,
-) -> Option<(f64, String)> {
-    let doubles = |v: tiff::decoder::ifd::Value| v.into_f64_vec().ok();
-    let scale = tag(decoder, Tag::ModelPixelScaleTag).and_then(doubles)?;
-    let &[sx, sy, ..] = scale.as_slice() else { return None };
-    let tie = tag(decoder, Tag::ModelTiepointTag).and_then(doubles).unwrap_or_default();
-    let keys = tag(decoder, Tag::GeoKeyDirectoryTag).and_then(|v| v.into_u16_vec().ok()).unwrap_or_default();
-    // Entries of four: key, where its value is (0: here), count, value; the first entry is the directory's head.
-    let key = |id: u16| keys.as_chunks::<4>().0.iter().skip(1).find(|k| k[0] == id && k[1] == 0).map(|k| k[3]);
-    let metres = |unit: Option<u16>| match unit {
-        Some(9002) => 0.3048,
-        Some(9003) => 1200.0 / 3937.0,
-        _ => 1.0,
-    };
-    const MODEL_TYPE: u16 = 1024;
-    const LINEAR_UNITS: u16 = 3076;
-    const VERTICAL_UNITS: u16 = 4099;
-    let unit_up = metres(key(VERTICAL_UNITS));
-    let (wide, how) = match key(MODEL_TYPE) {
-        Some(2) => {
-            let latitude = match tie.as_slice() {
-                &[_, row, _, _, y, ..] => y - sy * (f64::from(height) / 2.0 - row),
-                _ => 0.0,
-            };
-            if !(-90.0..90.0).contains(&latitude) {
-                return None;
-            }
-            let wide = sx * METRES_PER_DEGREE * latitude.to_radians().cos();
-            notes.push(format!(
-                "pixels of {sx} × {sy} degrees are {wide:.2} m west-east and {:.2} m north-south; drawn square",
-                sy * METRES_PER_DEGREE
-            ));
-            (wide, format!("{sx} degrees at latitude {latitude:.3}, {wide:.2} m"))
-        }
-        Some(1) => {
-            let wide = sx * metres(key(LINEAR_UNITS));
-            (wide, format!("{wide:.2} m"))
-        }
-        _ => return None,
-    };
-    let wide = wide / unit_up;
-    (wide.is_finite() && wide > 0.0).then_some((wide, how))
-}
-
-/// The colour of a column: the nearest pixel of the colour map.
 /// Colours by nearest pixel: that which holds the centre of the column.
 fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> Result<Box<ColumnColorsFn>> {
     let pixels = Pixels::read(path)?;

@@ -9,6 +9,8 @@ use crate::{Error, Result};
 pub(super) struct Heights {
     pub width: u32,
     pub height: u32,
+    /// Columns, rows that are handed out from the last one on.
+    pub flips: [bool; 2],
     file: File,
     /// Least and greatest height; the least above the greatest where there is none.
     pub low: f64,
@@ -25,7 +27,7 @@ impl Heights {
     /// A grid without data.
     pub fn new(width: u32, height: u32) -> Result<Heights> {
         let file = file::file().map_err(scratch("create a file in"))?;
-        Ok(Heights { width, height, file, low: f64::INFINITY, high: f64::NEG_INFINITY, known: 0 })
+        Ok(Heights { width, height, flips: [false; 2], file, low: f64::INFINITY, high: f64::NEG_INFINITY, known: 0 })
     }
 
     /// A grid from all its values.
@@ -45,7 +47,8 @@ impl Heights {
         (0..self.height).try_for_each(|z| self.write(0, z, &nothing))
     }
 
-    fn write(&self, x: u32, z: u32, values: &[f32]) -> Result<()> {
+    /// Overwrites values of row `z` as it is stored; [`Heights::recount`] is due then.
+    pub fn write(&self, x: u32, z: u32, values: &[f32]) -> Result<()> {
         write_at(&self.file, bytemuck::cast_slice(values), self.at(x, z)).map_err(scratch("write a file in"))
     }
 
@@ -69,7 +72,44 @@ impl Heights {
 
     /// Values `x .. x + out.len()` of row `z`.
     pub fn row(&self, x: u32, z: u32, out: &mut [f32]) -> Result<()> {
-        read_at(&self.file, bytemuck::cast_slice_mut(out), self.at(x, z)).map_err(scratch("read a file in"))
+        let [columns, rows] = self.flips;
+        let x = if columns { self.width - x - out.len() as u32 } else { x };
+        let z = if rows { self.height - 1 - z } else { z };
+        read_at(&self.file, bytemuck::cast_slice_mut(out), self.at(x, z)).map_err(scratch("read a file in"))?;
+        if columns {
+            out.reverse();
+        }
+        Ok(())
+    }
+
+    /// Finds least and greatest height again.
+    pub fn recount(&mut self) -> Result<()> {
+        self.each_row(|_| false)
+    }
+
+    /// Takes all heights of this value for no data.
+    pub fn drop(&mut self, value: f64) -> Result<()> {
+        self.each_row(|v| f64::from(v) == value || v == value as f32)
+    }
+
+    fn each_row(&mut self, none: impl Fn(f32) -> bool) -> Result<()> {
+        let (flips, mut row) = (std::mem::take(&mut self.flips), vec![0.0; self.width as usize]);
+        (self.low, self.high, self.known) = NOTHING;
+        for z in 0..self.height {
+            self.row(0, z, &mut row)?;
+            let mut changed = false;
+            for v in row.iter_mut().filter(|v| none(**v)) {
+                (*v, changed) = (f32::NAN, true);
+            }
+            if changed {
+                self.write(0, z, &row)?;
+            }
+            for v in row.iter().copied().filter(|v| v.is_finite()).map(f64::from) {
+                (self.low, self.high, self.known) = (self.low.min(v), self.high.max(v), self.known + 1);
+            }
+        }
+        self.flips = flips;
+        Ok(())
     }
 }
 

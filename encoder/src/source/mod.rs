@@ -3,12 +3,16 @@
 //! | module | reads | world |
 //! |---|---|---|
 //! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
-//! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
+//! | `heightmap`, `geotiff`, `grids`, `dem` | PNG, JPEG, TIFF, GeoTIFF, ESRI ASCII grids, SRTM, RAW16, USGS DEM | image column is x, row is z |
+//! | `mosaic` | folders of tiles of a map | x is east, z is south |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
+//! | `kv6` | kv6, kvx, Slab6's `.vox` | (x, D−1−z, y) |
+//! | `qb`, `gox` | Qubicle and Goxel models | y-up; z-up |
+//! | `binvox` | volumes of binvox | as stored, or z-up by `--up z` |
 //! | `mesh`, `ply`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
-//! | `points` | LAS, LAZ, PLY without faces | z-up |
+//! | `points`, `lidar`, `pcd` | LAS, LAZ, COPC, PCD, PLY without faces | z-up; PLY as stored, or z-up by `--up z` |
 //! | `procedural` | nothing: seeded functions | y-up |
 //!
 //! OpenVDB is not read. No crate is kept that could: of `vdb-rs` 0.6.0 (MIT) the last release is of January 2024, it knows
@@ -31,20 +35,36 @@
 //! | meshes | corners, triangles, textures | 24 to 36 bytes a corner, 16 a triangle, 4 a pixel |
 //! | PLY clouds | points | 16 bytes a point |
 //! | `.vxl` | runs and colours | the file's size, thrice |
-//! | `.vox` | voxels of all instances of models | 2³¹ voxels, 2²⁶ columns; 26 bytes a voxel, 8 a column |
+//! | `.vox` | voxels of all instances of models | 2³¹ voxels, 2²⁶ columns; 36 bytes a voxel, 8 a column |
+//! | `.kv6`, `.kvx`, `.qb`, `.gox` | voxels | 2²⁶ voxels, 2²⁶ columns; 52 bytes a voxel, 8 a column |
+//! | `.binvox` | a bit a voxel, and runs | 127 voxels a byte of the file |
+//! | PCD packed by LZF | the points, unpacked | 88 times the file |
 
+mod binvox;
+mod cells;
 mod dem;
+mod geo;
+mod geotiff;
+mod gox;
+mod grids;
 mod heightmap;
 mod heights;
+mod kv6;
+#[cfg(feature = "las")]
+mod lidar;
 mod mesh;
+mod mosaic;
+mod pcd;
 mod pixels;
 mod ply;
 mod points;
 pub mod procedural;
+mod qb;
 mod spots;
 mod stack;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
+mod tiff;
 mod volume;
 mod vox;
 mod vxl;
@@ -56,7 +76,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::guard::Map;
-use crate::pieces::{self, InMemory, Pieces};
+use crate::pieces::{self, Pieces};
 #[cfg(not(target_arch = "wasm32"))]
 use crate::remote;
 use crate::{Error, Input, Result};
@@ -67,6 +87,8 @@ pub const MAX_HEIGHT: u64 = 65_536;
 /// Most columns that an importer builds: column tables of 8 GiB.
 pub const MAX_COLUMNS: u64 = 1 << 31;
 
+pub use points::{Classes, ColorBy, PointSize};
+
 /// How to read an input: the flags of `encode`.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ReadOptions {
@@ -76,7 +98,7 @@ pub struct ReadOptions {
     /// Axis of a volume that points up [default: y]
     #[arg(long, value_enum, value_name = "AXIS")]
     pub up: Option<Up>,
-    /// Size of a raw volume in voxels, x fastest in the file
+    /// Size of a raw volume in voxels, x fastest in the file; X,Y of a .r16 terrain
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims)]
     pub dims: Option<[u64; 3]>,
     /// Value type of a raw volume, little-endian [default: u8]
@@ -97,6 +119,30 @@ pub struct ReadOptions {
     /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     pub height_scale: Option<f64>,
+    /// Classes of LAS points that are wanted, as in 2,6 or 2-6,9 [default: all but noise, 7 and 18]
+    #[arg(long, value_name = "LIST")]
+    pub las_classes: Option<Classes>,
+    /// Voxels that a point fills along each axis, or "auto": as few as close the ground [default: 1 with --voxel or --size, else auto]
+    #[arg(long, value_name = "N")]
+    pub point_size: Option<PointSize>,
+    /// What colours a cloud of points
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "auto")]
+    pub color_by: ColorBy,
+    /// Heights of a PNG or TIFF that its colours code, as web maps have them
+    #[arg(long, value_enum, value_name = "CODE")]
+    pub rgb: Option<HeightCode>,
+    /// Value of a height map that stands for no data [default: what the file says]
+    #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
+    pub nodata: Option<f64>,
+}
+
+/// How colours code heights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum HeightCode {
+    /// Mapbox's Terrain-RGB: tenths of metres from -10000 on
+    Mapbox,
+    /// Terrarium (Mapzen, AWS): 256ths of metres from -32768 on
+    Terrarium,
 }
 
 /// Kinds of input.
@@ -114,12 +160,30 @@ pub enum Format {
     Heightmap,
     /// USGS ASCII digital elevation model
     Dem,
+    /// ESRI ASCII grid of heights
+    Asc,
+    /// SRTM tile of heights, plain or gzip
+    Hgt,
+    /// 16-bit heights without a header, square or --dims X,Y
+    R16,
     /// TIFF images as slices of a volume: the pages of a file, or the files of a folder
     Stack,
     /// Voxlap or Ace of Spades map
     Vxl,
     /// MagicaVoxel model or scene
     Vox,
+    /// Voxlap or Slab6 model
+    Kv6,
+    /// Build or Slab6 model
+    Kvx,
+    /// Slab6 model that shares the name .vox
+    Slab6,
+    /// Qubicle model
+    Qb,
+    /// Goxel model
+    Gox,
+    /// Volume of binvox
+    Binvox,
     /// PLY mesh or cloud of points, plain or gzip
     Ply,
     /// STL mesh
@@ -128,12 +192,14 @@ pub enum Format {
     Obj,
     /// glTF or GLB scene of meshes
     Gltf,
-    /// LAS or LAZ cloud of points
+    /// LAS, LAZ or COPC cloud of points
     Las,
+    /// PCD cloud of points
+    Pcd,
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+    (.png, .jpg, .tif, .dem, .asc, .hgt, .r16, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .pcd, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel, Slab6), .kv6, .kvx, .qb (Qubicle), .gox (Goxel), .binvox, procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -182,9 +248,17 @@ fn positive(s: &str) -> Result<f64, String> {
     number(s).ok().filter(|&v| v > 0.0 && v.is_finite()).ok_or_else(|| "expected a number above 0".to_owned())
 }
 
+/// A number, or "nan".
+fn any_number(s: &str) -> Result<f64, String> {
+    s.trim().parse().map_err(|_| "expected a number".to_owned())
+}
+
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
-    let wrong = || "expected three whole numbers, as in 256,128,64".to_owned();
-    let parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let wrong = || "expected three whole numbers, as in 256,128,64 (two for .r16)".to_owned();
+    let mut parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    if parts.len() == 2 {
+        parts.push(1);
+    }
     let dims: [u64; 3] = parts.try_into().map_err(|_| wrong())?;
     if dims.contains(&0) {
         return Err("every size must be at least 1".to_owned());
@@ -244,13 +318,18 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         return zarr_folder(path, opts);
     }
     let failed = |e| Error::io(path, "read", e);
-    let mut files = Vec::new();
+    let (mut files, mut grids) = (Vec::new(), Vec::new());
     for entry in fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
         let kind = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         if matches!(kind.as_str(), "tif" | "tiff") {
             files.push(file);
+        } else if matches!(kind.as_str(), "asc" | "hgt") {
+            grids.push(file);
         }
+    }
+    if files.is_empty() {
+        files = grids;
     }
     // Numbers in names by their value: slice2 before slice10.
     files.sort_by_cached_key(|file| {
@@ -263,11 +342,11 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     let Some(first) = files.first() else {
         return Err(Error::format(
             path,
-            "a folder without .tif files and no Zarr; expected the slices of a volume or tiles of a map",
+            "a folder without .tif, .asc or .hgt files and no Zarr; expected the slices of a volume or tiles of a map",
         ));
     };
-    if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
-        return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));
+    if opts.format != Some(Format::Stack) && mosaic::is_tile(first)? {
+        return Ok(Box::new(mosaic::mosaic(path, &files, opts)?));
     }
     Ok(Box::new(stack::read(path, &files, opts)?))
 }
@@ -289,12 +368,6 @@ enum World<'a> {
     Pieces(Box<dyn Pieces>),
 }
 
-impl From<Input> for World<'_> {
-    fn from(input: Input) -> Self {
-        World::Pieces(Box::new(InMemory::new(input)))
-    }
-}
-
 /// Reads an input whose file at `path` holds `bytes`.
 pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
     match find(path, bytes, false, opts)? {
@@ -308,7 +381,12 @@ pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
 fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> Result<World<'a>> {
     let format = match opts.format {
         Some(format) => format,
-        None if opts.dims.is_some() => Format::Raw,
+        None if opts.dims.is_some() && !is_r16(path) => Format::Raw,
+        None if kv6::is_slab6(bytes, bytes.len() as u64)
+            && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vox")) =>
+        {
+            Format::Slab6
+        }
         None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
     };
     let mut notes = Vec::new();
@@ -318,27 +396,47 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         }
     };
     let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack);
-    let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
-    let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
-    unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
+    let is_image = format == Format::Heightmap;
+    let is_map = is_image || matches!(format, Format::Dem | Format::Npy | Format::Asc | Format::Hgt | Format::R16);
+    let is_headless = matches!(format, Format::Raw | Format::R16);
+    let is_cloud = matches!(format, Format::Ply | Format::Las | Format::Pcd);
+    let is_mesh = is_cloud || matches!(format, Format::Stl | Format::Obj | Format::Gltf);
+    unused("--las-classes", opts.las_classes.is_some() && format != Format::Las, "it is for LAS");
+    unused("--point-size", opts.point_size.is_some() && !is_cloud, "it is for clouds of points");
+    unused("--color-by", opts.color_by != ColorBy::Auto && !is_cloud, "it is for clouds of points");
+    unused(
+        "--up",
+        opts.up.is_some() && !is_volume && !is_mesh && format != Format::Binvox,
+        "the format has an up axis of its own",
+    );
     unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
-    unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
-    unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
+    unused("--dtype", opts.dtype.is_some() && !is_headless, "the file states its type");
+    unused("--dims", opts.dims.is_some() && !is_headless, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
+    unused("--rgb", opts.rgb.is_some() && !is_image, "it is for images of heights in colours");
+    unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
         && let Some(heights) = volume::npy_heights(path, bytes, in_file)?
     {
-        return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
+        let mut map = heightmap::Map::of(heights);
+        map.about.format = "NPY".to_owned();
+        map.notes.append(&mut notes);
+        return boxed(heightmap::rows(path, map, bytes.len() as u64, opts));
     }
     let mut volume = |volume: Result<volume::Volume<'a>>| {
         let mut volume = volume?;
         volume.notes.append(&mut notes);
         Ok(World::Volume(volume))
     };
-    let mut input = match format {
+    let cloud = |points: Result<points::Points>, mut notes: Vec<String>| {
+        let mut points = points?;
+        points.about.left_out.append(&mut notes);
+        boxed(Ok(points))
+    };
+    let model = match format {
         Format::Raw => return volume(volume::raw(path, bytes, opts)),
         Format::Npy => return volume(volume::npy(path, bytes, opts)),
         Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
@@ -348,17 +446,30 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             map.notes.append(&mut notes);
             return boxed(Ok(map));
         }
-        Format::Dem => {
-            let (heights, pixel) = dem::read(path, bytes)?;
-            return boxed(heightmap::of_heights(path, heights, Some(pixel), bytes.len() as u64, opts));
+        Format::Dem | Format::Asc | Format::Hgt | Format::R16 => {
+            let mut map = match format {
+                Format::Dem => dem::read(path, bytes),
+                Format::Asc => grids::asc(path, bytes, opts),
+                Format::Hgt => grids::hgt(path, bytes, opts),
+                _ => grids::r16(path, bytes, opts),
+            }?;
+            map.notes.append(&mut notes);
+            return boxed(heightmap::rows(path, map, bytes.len() as u64, opts));
         }
         Format::Stack => return volume(stack::read(path, &[path.to_owned()], opts)),
         Format::Vxl => vxl::read(path, bytes),
         Format::Vox => vox::read(path, bytes),
+        Format::Kv6 => kv6::kv6(path, bytes),
+        Format::Kvx => kv6::kvx(path, bytes),
+        Format::Slab6 => kv6::slab6(path, bytes),
+        Format::Qb => qb::read(path, bytes),
+        Format::Gox => gox::read(path, bytes),
+        Format::Binvox => binvox::read(path, bytes, opts),
+        Format::Pcd => return cloud(pcd::read(path, bytes, opts), notes),
         Format::Ply => {
             let mesh = ply::read(path, bytes)?;
             return match mesh.triangles.is_empty() {
-                true => boxed(points::Points::of_mesh(path, mesh, opts)),
+                true => cloud(points::Points::of_mesh(path, mesh, opts), notes),
                 false => boxed(mesh::Voxelized::new(path, mesh, opts)),
             };
         }
@@ -374,12 +485,13 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         #[cfg(not(feature = "mesh"))]
         Format::Stl | Format::Obj | Format::Gltf => return without(path, "meshes other than PLY", "mesh"),
         #[cfg(feature = "las")]
-        Format::Las => return boxed(points::Points::las(path, opts)),
+        Format::Las => return cloud(lidar::read(path, opts), notes),
         #[cfg(not(feature = "las"))]
         Format::Las => return without(path, "LAS and LAZ", "las"),
     }?;
-    input.notes.append(&mut notes);
-    Ok(input.into())
+    let mut about = Pieces::about(&model);
+    about.left_out.append(&mut notes);
+    Ok(World::Pieces(Box::new(model.about(about))))
 }
 
 fn boxed<'a>(pieces: Result<impl Pieces + 'static>) -> Result<World<'a>> {
@@ -390,6 +502,10 @@ fn boxed<'a>(pieces: Result<impl Pieces + 'static>) -> Result<World<'a>> {
 fn without<T>(path: &Path, what: &str, feature: &str) -> Result<T> {
     let path = path.display();
     Err(Error::Argument(format!("{path}: this planecast reads no {what}; build it with --features {feature}")))
+}
+
+fn is_r16(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("r16"))
 }
 
 /// The kind of a file from its first bytes (at least 64 KiB of them, or all), and where those tell nothing, from
@@ -406,11 +522,22 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     match name.rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
         "dem" => Ok(Format::Dem),
+        "asc" => Ok(Format::Asc),
+        "hgt" => Ok(Format::Hgt),
+        "gz" if name.ends_with(".hgt.gz") => Ok(Format::Hgt),
+        "r16" => Ok(Format::R16),
         "stl" => Ok(Format::Stl),
         "obj" => Ok(Format::Obj),
         "gltf" => Ok(Format::Gltf),
         "raw" | "bin" => fail("a raw volume does not state its size: give --dims X,Y,Z and --dtype u8|u16|i16|f32"),
-        "vox" => fail("byte 0: expected \"VOX \", so this is not a MagicaVoxel file (Slab6 files share the name)"),
+        "vox" => fail("byte 0: expected \"VOX \", or as Slab6 has it three sizes, as many bytes, and 768 more"),
+        "kvx" => Ok(Format::Kvx),
+        "qb" => Ok(Format::Qb),
+        "pcd" => Ok(Format::Pcd),
+        "qbt" | "qbcl" | "qef" => fail("of Qubicle's formats .qb is read; export it as Qubicle Binary"),
+        "e57" | "pts" | "ptx" => {
+            fail("of clouds of points LAS, LAZ, PCD and PLY are read; convert it, with PDAL for one")
+        }
         "pcast" => fail("this is a scene already; encode takes what a scene is made from"),
         _ if head.is_empty() => fail("the file is empty"),
         _ => Err(Error::format(path, format!("neither content nor name tells the kind; supported: {SUPPORTED}"))),
@@ -428,14 +555,27 @@ fn detect_content(head: &[u8]) -> Option<Format> {
         (b"\x93NUMPY", Format::Npy),
         (b"NRRD000", Format::Nrrd),
         (b"VOX ", Format::Vox),
+        (b"Kvxl", Format::Kv6),
+        (b"GOX ", Format::Gox),
+        (b"#binvox", Format::Binvox),
+        (b"# .PCD", Format::Pcd),
+        (b"# .pcd", Format::Pcd),
+        (b"VERSION .7\n", Format::Pcd),
+        (b"VERSION 0.7\n", Format::Pcd),
         (b"ply\n", Format::Ply),
         (b"ply\r\n", Format::Ply),
         (b"glTF", Format::Gltf),
         (b"LASF", Format::Las),
         (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
     ];
+    if grids::is_asc(head) {
+        return Some(Format::Asc);
+    }
     if let Some((_, format)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Some(*format);
+    }
+    if qb::is_one(head) {
+        return Some(Format::Qb);
     }
     let mut inflated = Vec::new();
     let head = if head.starts_with(b"\x1f\x8b") {

@@ -8,7 +8,10 @@ use flate2::write::GzEncoder;
 use super::procedural::noise::hash;
 use super::procedural::{Kind, from_name, procedural, procedural_pieces};
 use super::*;
-use crate::{Colors, Columns, Rgb, Run};
+use crate::{About, Colors, Columns, Rgb, Run};
+
+mod clouds;
+mod models;
 
 /// A file in a folder that goes away with it.
 struct File(tempfile::TempDir, PathBuf);
@@ -27,7 +30,7 @@ struct Cli {
 }
 
 /// Options as typed.
-fn opts(flags: &str) -> ReadOptions {
+pub(super) fn opts(flags: &str) -> ReadOptions {
     Cli::try_parse_from(["x"].into_iter().chain(flags.split_whitespace())).unwrap().read
 }
 
@@ -42,7 +45,7 @@ fn read(name: &str, bytes: &[u8], flags: &str) -> Input {
     try_read(name, bytes, flags).unwrap()
 }
 
-fn error(name: &str, bytes: &[u8], flags: &str) -> String {
+pub(super) fn error(name: &str, bytes: &[u8], flags: &str) -> String {
     match try_read(name, bytes, flags) {
         Err(e) => e.to_string(),
         Ok(input) => panic!("{name} was read: {:?}", input.columns.dims()),
@@ -100,7 +103,7 @@ fn refuses_every_prefix(name: &str, bytes: &[u8], flags: &str) {
 }
 
 /// The same for a format whose last `n` bytes hold nothing that is needed: those may be missed or not.
-fn refuses_every_prefix_but(n: usize, name: &str, bytes: &[u8], flags: &str) {
+pub(super) fn refuses_every_prefix_but(n: usize, name: &str, bytes: &[u8], flags: &str) {
     assert!(try_read(name, bytes, flags).is_ok());
     let (path, opts) = (Path::new(name), opts(flags));
     for len in 0..bytes.len() {
@@ -111,7 +114,7 @@ fn refuses_every_prefix_but(n: usize, name: &str, bytes: &[u8], flags: &str) {
 }
 
 /// Whatever a byte is changed to, the answer is an input that keeps its promises or an error.
-fn survives_changed_bytes(name: &str, bytes: &[u8], flags: &str) {
+pub(super) fn survives_changed_bytes(name: &str, bytes: &[u8], flags: &str) {
     let (path, opts) = (Path::new(name), opts(flags));
     for at in 0..bytes.len().min(1500) {
         for value in [0, 1, 0x7F, 0x80, 0xFF, bytes[at] ^ 0x10] {
@@ -364,13 +367,13 @@ fn nifti_refuses_what_it_cannot_trust() {
 
 // Height maps.
 
-fn png(image: impl Into<image::DynamicImage>) -> Vec<u8> {
+pub(super) fn png(image: impl Into<image::DynamicImage>) -> Vec<u8> {
     let mut out = std::io::Cursor::new(Vec::new());
     image.into().write_to(&mut out, image::ImageFormat::Png).unwrap();
     out.into_inner()
 }
 
-fn heights(input: &Input) -> Vec<Option<u16>> {
+pub(super) fn heights(input: &Input) -> Vec<Option<u16>> {
     let c = &input.columns;
     let column = |ix| {
         let runs = &c.runs()[c.range(ix)];
@@ -417,6 +420,15 @@ fn heightmap_colours_are_those_of_the_nearest_pixel() {
     assert_eq!(read_with(image::GrayImage::new(4, 2)), [0, 10, 20, 30, 0, 10, 20, 30]);
     assert_eq!(read_with(image::GrayImage::new(2, 1)), [10, 30]);
     assert_eq!(read_with(image::GrayImage::new(8, 1)), [0, 0, 10, 10, 20, 20, 30, 30]);
+}
+
+/// Heights of a file in voxels, and what is said of it.
+pub(super) fn told(name: &str, bytes: &[u8], flags: &str) -> (Vec<Option<u16>>, crate::About) {
+    let File(_folder, path) = file(name, bytes);
+    let world = open_pieces(&path, &opts(flags)).unwrap();
+    let input = pieces::whole(&*world).unwrap();
+    assert_eq!(broken_promise(&input), None);
+    (heights(&input), world.about())
 }
 
 /// A TIFF of `width × height` i16 values in tiles of 16 × 16, with further entries (tag, type, values).
@@ -483,26 +495,74 @@ fn geotiff_tiles_nodata_and_pixel_size_are_read() {
     assert_eq!([input.columns.nx(), input.columns.nz()], [20, 18]);
     let expected = |(i, &v): (usize, &i16)| (i != 27).then(|| (f64::from(v) / 30.0).round() as u16);
     assert_eq!(heights(&input), values.iter().enumerate().map(expected).collect::<Vec<_>>());
-    assert!(input.notes.iter().any(|n| n.contains("1 pixels without data")), "{:?}", input.notes);
+    let (_, about) = told("h.tif", &tiled_tiff(20, 18, &values, &tags), "");
+    assert!(about.rule.contains("1 pixels without data"), "{about}");
 }
 
 #[test]
 fn geotiff_degrees_become_metres_at_the_centre() {
-    // Half a width of the equator's at 60 degrees north.
-    let side = 1.0 / 111_320.0;
+    // At 60 degrees north half as wide as at the equator, and 0.25 % more, since the ellipsoid is flattened.
+    let side = 1.0 / 111_319.49;
     let values = vec![1000; 4];
     let input = read("h.tif", &tiled_tiff(2, 2, &values, &geo_tags(side, 60.0 + side, 2, &[])), "");
-    assert_eq!(heights(&input), [Some(2000); 4]);
+    assert_eq!(heights(&input), [Some(1995); 4]);
     // Feet up, metres across.
     let feet = geo_tags(1.0, 0.0, 1, &[[4099, 0, 1, 9002]]);
     assert_eq!(heights(&read("h.tif", &tiled_tiff(2, 2, &values, &feet), "")), [Some(305); 4]);
 }
 
 #[test]
+fn heightmap_pixels_that_are_transparent_are_empty() {
+    let grey = image::GrayAlphaImage::from_raw(4, 1, vec![9, 255, 8, 0, 7, 1, 6, 255]).unwrap();
+    let (found, about) = told("h.png", &png(grey), "");
+    assert_eq!(found, [Some(9), None, Some(7), Some(6)]);
+    assert!(about.rule.contains("transparent pixels have no data"), "{about}");
+    assert_eq!(about.left_out, ["the alpha of 1 pixels that are partly transparent"]);
+    let wide = image::ImageBuffer::<image::LumaA<u16>, _>::from_raw(2, 1, vec![900, 65_535, 800, 0]).unwrap();
+    assert_eq!(told("h.png", &png(wide), "--height-scale 1").0, [Some(900), None]);
+    // Colours: their brightness, with a word.
+    let colours = image::RgbaImage::from_raw(2, 1, vec![10, 10, 10, 255, 200, 10, 10, 0]).unwrap();
+    let (found, about) = told("h.png", &png(colours), "");
+    assert_eq!(found, [Some(10), None]);
+    assert!(about.rule.contains("the brightness of colours is the height (--rgb"), "{about}");
+    // A palette, one of whose colours is transparent.
+    let mut palette = Vec::new();
+    let mut encoder = png::Encoder::new(&mut palette, 4, 1);
+    encoder.set_color(png::ColorType::Indexed);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_palette(vec![5, 5, 5, 9, 9, 9, 60, 60, 60]);
+    encoder.set_trns(vec![255, 0]);
+    encoder.write_header().unwrap().write_image_data(&[0, 1, 2, 0]).unwrap();
+    assert_eq!(told("h.png", &palette, "").0, [Some(5), None, Some(60), Some(5)]);
+}
+
+#[test]
+fn heights_in_colours_are_metres() {
+    // 8,848.9 m, 0 m, black (no data), and 0 m that is transparent.
+    let mapbox = vec![2, 224, 73, 255, 1, 134, 160, 255, 0, 0, 0, 255, 1, 134, 160, 0];
+    let image = image::RgbaImage::from_raw(4, 1, mapbox).unwrap();
+    let (found, about) = told("h.png", &png(image), "--rgb mapbox --height-scale 1");
+    assert_eq!(found, [Some(8849), Some(0), None, None]);
+    assert!(about.rule.contains("heights in colours (Mapbox)"), "{about}");
+    // −1 m, 8,848.5 m: all is lifted by 1.
+    let image = image::RgbImage::from_raw(2, 1, vec![127, 255, 0, 162, 144, 128]).unwrap();
+    let (found, _) = told("h.png", &png(image.clone()), "--rgb terrarium --height-scale 1");
+    assert_eq!(found, [Some(0), Some(8850)]);
+    assert!(error("h.png", &png(image::GrayImage::new(1, 1)), "--rgb terrarium").contains("shades of grey"));
+    let mut jpeg = std::io::Cursor::new(Vec::new());
+    image::DynamicImage::ImageRgb8(image).write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+    assert!(error("h.jpg", jpeg.get_ref(), "--rgb terrarium").contains("JPEG changes the low bits"));
+}
+
+#[test]
 fn heightmap_below_zero_is_lifted() {
-    let input = read("h.tif", &tiled_tiff(2, 1, &[-5, 7], &geo_tags(1.0, 0.0, 1, &[])), "");
-    assert_eq!(heights(&input), [0, 12].map(Some));
-    assert!(input.notes.iter().any(|n| n.contains("lifted by 5")), "{:?}", input.notes);
+    let (found, about) = told("h.tif", &tiled_tiff(2, 1, &[-5, 7], &geo_tags(1.0, 0.0, 1, &[])), "");
+    assert_eq!(found, [0, 12].map(Some));
+    assert!(about.rule.contains("lifted by 5"), "{about}");
+    // A value that often stands for none is said to, and is none where one says so.
+    let tiff = tiled_tiff(2, 1, &[-9999, 7], &geo_tags(1.0, 0.0, 1, &[]));
+    assert!(told("h.tif", &tiff, "").1.rule.contains("(--nodata -9999)"));
+    assert_eq!(told("h.tif", &tiff, "--nodata -9999").0, [None, Some(7)]);
 }
 
 #[test]
@@ -689,9 +749,7 @@ fn vox_model_stands_on_its_z_axis() {
     // Input (0, 0, 0) is world (0, 0, Y−1).
     assert!(input.columns.solid(0, 0, 2) && input.columns.solid(0, 1, 0));
     let two = [model([1, 1, 1], &[[0, 0, 0, 1]]), model([2, 2, 2], &[]), palette()];
-    let input = read("m.vox", &vox_file(&two), "");
-    assert_eq!(input.columns.dims(), [1, 1, 1]);
-    assert!(input.notes.iter().any(|n| n.contains("2 models without a scene graph")), "{:?}", input.notes);
+    assert_eq!(read("m.vox", &vox_file(&two), "").columns.dims(), [1, 1, 1]);
 }
 
 /// A scene of one 4 × 3 × 2 model with voxels at (0,0,0), (3,0,0), (0,2,1), and a marker at the origin.

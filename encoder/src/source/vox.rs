@@ -1,16 +1,21 @@
 //! MagicaVoxel models and scenes (`.vox`), z up.
 //!
 //! The crate `dot_vox` parses chunks; the scene graph is ours to walk, and so are the checks: `dot_vox` drops damaged
-//! chunks without a word and forgets node numbers, so the chunks are walked once before.
+//! chunks without a word and forgets node numbers, so the chunks are walked once before. Voxels are read from the file itself:
+//! colour 0 is "no voxel" (the palette has 1 to 255), which `dot_vox` makes colour 1.
+//!
+//! Of nodes that move or change, the frame with the least number is shown, of place and of model alike.
 
 use std::collections::HashMap;
 use std::path::Path;
 
 use dot_vox::{DotVoxData, SceneNode};
-use rayon::prelude::*;
 
-use super::{guarded, world_dims};
-use crate::{Colors, ColumnsBuilder, Error, Input, Result, Run};
+use super::spots::Spot;
+use super::{cells, guarded};
+use crate::about::Kind;
+use crate::pieces::InMemory;
+use crate::{About, Error, Result};
 
 /// Largest side of a model that its one-byte coordinates can reach.
 const MODEL_SIDE: u32 = 256;
@@ -18,8 +23,6 @@ const MODEL_SIDE: u32 = 256;
 const MAX_VISITS: usize = 1 << 20;
 /// Most voxels of all instances together.
 const MAX_VOXELS: u64 = 1 << 31;
-/// Most columns: few bytes can place two voxels very far apart.
-const MAX_COLUMNS: u64 = 1 << 26;
 
 /// `x' = sign · x[axis] + t` on each axis: what scene graphs are made of.
 #[derive(Clone, Copy, Debug)]
@@ -77,13 +80,13 @@ struct Instance {
     place: Transform,
 }
 
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<InMemory> {
     let ids = Chunks::walk(path, bytes)?;
     let data = guarded(path, "MagicaVoxel", || {
         dot_vox::load_bytes(bytes).map_err(|e| Error::format(path, format!("MagicaVoxel: {e}")))
     })?;
     for (what, found, expected) in [
-        ("models", data.models.len(), ids.n_models),
+        ("models", data.models.len(), ids.models.len()),
         ("scene nodes", data.scenes.len(), ids.nodes.len()),
         ("layers", data.layers.len(), ids.layers.len()),
     ] {
@@ -91,31 +94,34 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
             return Err(Error::format(path, format!("{expected} {what} are stored, {found} could be read")));
         }
     }
-    let mut notes = Vec::new();
+    let format = format!("MagicaVoxel vox {}", data.version);
+    let mut about = About { axes: "z is up".to_owned(), ..About::new(Kind::Model, format) };
     let instances = if data.scenes.is_empty() {
-        if data.models.len() > 1 {
-            notes.push(format!(
-                "{} models without a scene graph (frames of an animation): the first is read",
-                data.models.len()
-            ));
+        if ids.models.len() > 1 {
+            let n = ids.models.len() - 1;
+            about
+                .left_out
+                .push(format!("{n} models after the first (frames of an animation: there is no scene graph)"));
         }
         vec![Instance { model: 0, place: Transform::IDENTITY }]
     } else {
-        Graph { path, data: &data, ids: &ids, notes: &mut notes }.instances()?
+        Graph { path, data: &data, ids: &ids, left_out: &mut about.left_out }.instances()?
     };
-    if instances.is_empty() || data.models.is_empty() {
+    if instances.is_empty() || ids.models.is_empty() {
         return Err(Error::format(path, "no visible model"));
     }
-    if !data.scenes.is_empty() {
-        notes.push(format!("{} models, {} visible instances", data.models.len(), instances.len()));
-    }
-    place(path, &data, &instances, notes)
+    about.rule = match data.scenes.is_empty() {
+        true => "the first model".to_owned(),
+        false => format!("{} models, {} visible instances", ids.models.len(), instances.len()),
+    };
+    place(path, bytes, &data, &ids, &instances, about)
 }
 
 /// What a walk over all chunks tells that `dot_vox` does not.
 #[derive(Default)]
 struct Chunks {
-    n_models: usize,
+    /// Size of each model, and the bytes of its voxels: x, y, z, colour.
+    models: Vec<([u32; 3], std::ops::Range<usize>)>,
     /// Position of a scene node in file order, by its number.
     nodes: HashMap<u32, usize>,
     /// The same for layers.
@@ -139,7 +145,7 @@ impl Chunks {
             return fail(16, format!("chunk MAIN ends at byte {end}, the file has {} bytes", bytes.len()));
         }
         let mut out = Chunks::default();
-        let mut size_seen = false;
+        let mut size = None;
         while at < bytes.len() as u64 {
             let here = at as usize;
             let (Some(id), Some(content), Some(children)) = (bytes.get(here..here + 4), word(here + 4), word(here + 8))
@@ -160,22 +166,20 @@ impl Chunks {
             let first = || word(here + 12).filter(|_| content >= 4);
             let repeated = match (id, first()) {
                 (b"SIZE", _) => {
-                    size_seen = true;
-                    let fits = content == 12
-                        && (0..3).all(|i| word(here + 12 + 4 * i).is_some_and(|n| (1..=MODEL_SIDE).contains(&n)));
-                    if !fits {
+                    let side = |i: usize| word(here + 12 + 4 * i).filter(|n| (1..=MODEL_SIDE).contains(n));
+                    size = (|| Some([side(0)?, side(1)?, side(2)?]))().filter(|_| content == 12);
+                    if size.is_none() {
                         return fail(here + 12, format!("chunk SIZE must be three sizes of 1 to {MODEL_SIDE}"));
                     }
                     false
                 }
                 (b"XYZI", n) => {
-                    if !size_seen || n.is_none_or(|n| u64::from(content) != 4 + 4 * u64::from(n)) {
-                        return fail(
-                            here + 12,
-                            "chunk XYZI must follow SIZE and hold as many voxels as it says".to_owned(),
-                        );
-                    }
-                    out.n_models += 1;
+                    let Some(size) = size.filter(|_| n.is_some_and(|n| u64::from(content) == 4 + 4 * u64::from(n)))
+                    else {
+                        let what = "chunk XYZI must follow SIZE and hold as many voxels as it says";
+                        return fail(here + 12, what.to_owned());
+                    };
+                    out.models.push((size, here + 16..here + 12 + content as usize));
                     false
                 }
                 (b"nTRN" | b"nGRP" | b"nSHP", Some(n)) => out.nodes.insert(n, out.nodes.len()).is_some(),
@@ -198,14 +202,18 @@ struct Graph<'a> {
     path: &'a Path,
     data: &'a DotVoxData,
     ids: &'a Chunks,
-    notes: &'a mut Vec<String>,
+    left_out: &'a mut Vec<String>,
 }
 
 impl Graph<'_> {
     fn instances(&mut self) -> Result<Vec<Instance>> {
         let fail = |what: String| Err(Error::format(self.path, what));
         let hidden = |a: &dot_vox::Dict| a.get("_hidden").is_some_and(|v| v == "1");
-        let (mut n_hidden, mut n_moving) = (0usize, 0usize);
+        let (mut n_hidden, mut n_moving, mut n_frames) = (0usize, 0usize, 0usize);
+        let mut later = |n: usize| {
+            n_moving += usize::from(n > 1);
+            n_frames += n.saturating_sub(1);
+        };
         let mut out = Vec::new();
         let mut visits = 0;
         // Number of the node, transform above it, depth. Node 0 is the root.
@@ -231,8 +239,9 @@ impl Graph<'_> {
                         n_hidden += 1;
                         continue;
                     }
-                    n_moving += usize::from(frames.len() > 1);
-                    let frame = |key| frames.first().and_then(|f| f.attributes.get(key)).map(String::as_str);
+                    later(frames.len());
+                    let first = frames.iter().min_by_key(|f| frame_number(&f.attributes));
+                    let frame = |key| first.and_then(|f| f.attributes.get(key)).map(String::as_str);
                     let Some(own) = Transform::parse(frame("_r"), frame("_t")) else {
                         return fail(format!(
                             "scene node {number}: rotation {:?} or translation {:?} is malformed",
@@ -254,39 +263,45 @@ impl Graph<'_> {
                         n_hidden += 1;
                         continue;
                     }
-                    n_moving += usize::from(models.len() > 1);
-                    let Some(first) = models.iter().min_by_key(|m| m.frame_index().unwrap_or(0)) else { continue };
-                    let model = first.model_id as usize;
-                    if model >= self.data.models.len() {
-                        return fail(format!(
-                            "scene node {number} shows model {model}, the file has {}",
-                            self.data.models.len()
-                        ));
+                    later(models.len());
+                    let Some(first) = models.iter().min_by_key(|m| frame_number(&m.attributes)) else { continue };
+                    let (model, n) = (first.model_id as usize, self.ids.models.len());
+                    if model >= n {
+                        return fail(format!("scene node {number} shows model {model}, the file has {n}"));
                     }
                     out.push(Instance { model, place: above });
                 }
             }
         }
         if n_hidden > 0 {
-            self.notes.push(format!("{n_hidden} hidden nodes are left out"));
+            self.left_out.push(format!("{n_hidden} hidden nodes"));
         }
         if n_moving > 0 {
-            self.notes.push(format!("{n_moving} animated nodes are shown at their first frame"));
+            self.left_out.push(format!("{n_frames} later frames of {n_moving} animated nodes"));
         }
         Ok(out)
     }
 }
 
+/// Number of a frame; one that does not say is the first.
+fn frame_number(attributes: &dot_vox::Dict) -> i64 {
+    attributes.get("_f").and_then(|f| f.trim().parse().ok()).unwrap_or(0)
+}
+
 /// All instances in one world, as large as their models' boxes together. Where two overlap, the later one shows.
-fn place(path: &Path, data: &DotVoxData, instances: &[Instance], notes: Vec<String>) -> Result<Input> {
-    let size = |i: &Instance| {
-        let s = data.models[i.model].size;
-        [i64::from(s.x), i64::from(s.y), i64::from(s.z)]
-    };
+fn place(
+    path: &Path,
+    bytes: &[u8],
+    data: &DotVoxData,
+    ids: &Chunks,
+    instances: &[Instance],
+    mut about: About,
+) -> Result<InMemory> {
+    let size = |i: &Instance| ids.models[i.model].0.map(i64::from);
     let (mut low, mut high) = ([i64::MAX; 3], [i64::MIN; 3]);
     let mut n_voxels = 0u64;
     for instance in instances {
-        n_voxels += data.models[instance.model].voxels.len() as u64;
+        n_voxels += ids.models[instance.model].1.len() as u64 / 4;
         let size = size(instance);
         let corners = [size.map(|s| -(s / 2)), size.map(|s| s - 1 - s / 2)].map(|c| instance.place.cell(c));
         for i in 0..3 {
@@ -301,52 +316,42 @@ fn place(path: &Path, data: &DotVoxData, instances: &[Instance], notes: Vec<Stri
         )));
     }
     let [x, y, z] = [0, 1, 2].map(|i| (high[i] - low[i] + 1) as u64);
-    let dims = world_dims(path, [x, z, y], "the models lie too far apart")?;
-    if x * y > MAX_COLUMNS {
-        return Err(Error::Limit(format!("{}: {x} × {y} columns, at most {MAX_COLUMNS} in a .vox", path.display())));
-    }
-
-    // Sorted keys: column, then y, then the colour, which the order of instances decides and the sort keeps.
-    let mut keys = Vec::with_capacity(n_voxels as usize);
+    let dims = cells::dims(path, [x, z, y])?;
+    let mut spots = Vec::with_capacity(n_voxels as usize);
+    let mut empty = 0u64;
     for instance in instances {
         let [sx, sy, sz] = size(instance);
-        for v in &data.models[instance.model].voxels {
-            let p = [i64::from(v.x), i64::from(v.y), i64::from(v.z)];
+        for v in bytes[ids.models[instance.model].1.clone()].as_chunks::<4>().0 {
+            let p = [v[0], v[1], v[2]].map(i64::from);
             if p[0] >= sx || p[1] >= sy || p[2] >= sz {
                 return Err(Error::format(
                     path,
                     format!("model {}: voxel {p:?} lies outside its size {sx} × {sy} × {sz}", instance.model),
                 ));
             }
-            let cell = instance.place.cell([p[0] - sx / 2, p[1] - sy / 2, p[2] - sz / 2]);
-            let column = (high[1] - cell[1]) as u64 * x + (cell[0] - low[0]) as u64;
-            keys.push(column << 24 | ((cell[2] - low[2]) as u64) << 8 | u64::from(v.i));
-        }
-    }
-    keys.par_sort_by_key(|k| k >> 8);
-
-    let mut columns = ColumnsBuilder::new(dims[0], dims[1], dims[2]);
-    let mut offsets = Vec::with_capacity((x * y) as usize + 1);
-    let mut entries = Vec::new();
-    offsets.push(0u32);
-    let mut rest = keys.as_slice();
-    for column in 0..x * y {
-        let (own, others) = rest.split_at(rest.partition_point(|k| k >> 24 <= column));
-        rest = others;
-        for (i, &key) in own.iter().enumerate() {
-            if own.get(i + 1).is_some_and(|next| next >> 8 == key >> 8) {
+            let Some(index) = usize::from(v[3]).checked_sub(1) else {
+                empty += 1;
                 continue;
-            }
-            let y = (key >> 8) as u16;
-            let Some(c) = data.palette.get(key as usize & 255) else {
-                let (index, n) = (key & 255, data.palette.len());
-                return Err(Error::format(path, format!("a voxel has colour {}, the palette has {n}", index + 1)));
             };
-            columns.push_run(Run::new(y, y));
-            entries.push((y, [c.r, c.g, c.b]));
+            let Some(c) = data.palette.get(index) else {
+                let n = data.palette.len();
+                return Err(Error::format(path, format!("a voxel has colour {}, the palette has {n}", v[3])));
+            };
+            let cell = instance.place.cell([p[0] - sx / 2, p[1] - sy / 2, p[2] - sz / 2]);
+            let column = (high[1] - cell[1]) as u32 * dims[0] + (cell[0] - low[0]) as u32;
+            spots.push(Spot { column, y: (cell[2] - low[2]) as u16, color: [c.r, c.g, c.b] });
         }
-        columns.end_column();
-        offsets.push(entries.len() as u32);
     }
-    Ok(Input { columns: columns.finish(), colors: Colors::Voxel { offsets, entries }, notes })
+    if empty > 0 {
+        about.left_out.push(format!("{empty} voxels of colour 0, which is none"));
+    }
+    let clear = data.materials.iter().filter(|m| {
+        let kind = m.properties.get("_type").map(String::as_str);
+        matches!(kind, Some("_glass" | "_cloud" | "_blend" | "_media"))
+    });
+    let clear = clear.count();
+    if clear > 0 {
+        about.left_out.push(format!("the transparency of {clear} materials, which are drawn solid"));
+    }
+    Ok(InMemory::new(cells::input(dims, spots, Vec::new())).about(about))
 }

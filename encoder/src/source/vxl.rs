@@ -11,7 +11,9 @@
 use std::path::Path;
 
 use super::world_dims;
-use crate::{Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
+use crate::about::Kind;
+use crate::pieces::InMemory;
+use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// First word of a file with a header.
 pub(super) const MAGIC: u32 = 0x0907_2000;
@@ -34,7 +36,7 @@ struct Span {
     air: u32,
 }
 
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<InMemory> {
     let word = |i: usize| bytes.get(i * 4..i * 4 + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     let (nx, nz, start) = if word(0) == Some(MAGIC) {
         match (word(1), word(2)) {
@@ -100,9 +102,14 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Input> {
         columns.end_column();
         offsets.push(entries.len() as u32);
     }
-    let variant = if start == 0 { "no header, Ace of Spades" } else { "Voxlap header" };
-    let notes = vec![format!("{variant}: {nx} × {nz} columns, {depth} deep, {} coloured voxels", entries.len())];
-    Ok(Input { columns: columns.finish(), colors: Colors::Voxel { offsets, entries }, notes })
+    let variant = if start == 0 { "Ace of Spades vxl (no header)" } else { "Voxlap vxl" };
+    let about = About {
+        axes: "x is x, y is z, z points down".to_owned(),
+        rule: format!("{} coloured voxels, all below a column's last span solid", entries.len()),
+        ..About::new(Kind::Model, variant)
+    };
+    let input = Input { columns: columns.finish(), colors: Colors::Voxel { offsets, entries }, notes: Vec::new() };
+    Ok(InMemory::new(input).about(about))
 }
 
 fn place(path: &Path, nx: u32, column: u64, (at, what): (usize, String)) -> Error {
