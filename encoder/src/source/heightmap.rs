@@ -20,11 +20,13 @@
 use std::io::Cursor;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 use super::geo::{Crs, Length, Model, Place};
 use super::geotiff;
 use super::heights::Heights;
 use super::pixels::{Pixels, Png, Stream, stream};
+use super::relief::{self, Colors, Means, Ramp};
 use super::{HeightCode, ReadOptions, guarded, world_dims};
 use crate::about::Kind;
 use crate::pieces::{ColumnColorsFn, RowColors, Rows};
@@ -117,6 +119,10 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         heights.drop(none)?;
         nodata_known = true;
     }
+    let mut place = place;
+    if let Some(size) = opts.size {
+        (heights, place) = resized(heights, place, size, &mut rules)?;
+    }
     let Heights { width, height, low, high, .. } = heights;
     if low > high {
         return Err(Error::format(path, "no pixel of the height map has data"));
@@ -138,7 +144,6 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
     }
 
     about.axes = "columns are x, rows are z".to_owned();
-    let mut place = place;
     rules.extend(place.as_mut().and_then(|p| likely(p, width, height)));
     let place = place.map(|place| {
         let flips = place.flips();
@@ -192,6 +197,13 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
             scale
         }
     };
+    let scale = match opts.exaggeration.map(|e| e.factor((high - low) * scale, width.max(height))) {
+        Some(factor) if factor != 1.0 => {
+            rules.insert(0, format!("relief {factor} times as high (--exaggeration)"));
+            scale * factor
+        }
+        _ => scale,
+    };
     if let Some(ground) = &wide {
         match &stated {
             Some(unit) if unit.name != "m" => rules.push(format!("values in {}", unit.name)),
@@ -223,9 +235,19 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
     }
 
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
-    let color = match &opts.colors {
-        Some(path) => RowColors::Column(color_map(path, width, height, &mut notes)?),
-        None => RowColors::None,
+    let heights = Arc::new(heights);
+    let ramp = opts.ramp.as_deref().filter(|_| opts.colors.is_none()).map(Ramp::find).transpose()?.flatten();
+    let color = match (&opts.colors, ramp) {
+        (Some(path), _) => RowColors::Column(color_map(path, width, height, &mut notes)?),
+        (None, Some(ramp)) => {
+            let pixel = wide.as_ref().map_or([1.0 / scale; 2], |ground| ground.metres.map(|m| m / unit.metres));
+            let (table, means, heights) = (ramp.over(low, high), Means::new(&heights)?, Arc::clone(&heights));
+            RowColors::Column(Box::new(move |xs: Range<u32>, z, out| {
+                let colors = Colors { table: &table, heights: &heights, pixel, means: &means };
+                colors.row(xs.start, xs.len() as u32, z, out)
+            }))
+        }
+        (None, None) => RowColors::None,
     };
     let row = move |xs: Range<u32>, z: u32, columns: &mut ColumnsBuilder| {
         let mut values = vec![0.0; xs.len()];
@@ -239,6 +261,31 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         Ok(())
     };
     Ok(Rows { dims, row: Box::new(row), color, notes, about, input_bytes })
+}
+
+/// A map with `size` columns along its longer side, as long and wide on the ground as it is.
+fn resized(
+    heights: Heights,
+    place: Option<Place>,
+    size: u32,
+    rules: &mut Vec<String>,
+) -> Result<(Heights, Option<Place>)> {
+    let Heights { width, height, .. } = heights;
+    let ground = place.as_ref().and_then(|place| place.ground(width, height).ok());
+    let [dx, dz] = ground.map_or([1.0; 2], |ground| ground.metres);
+    let sides = [f64::from(width) * dx, f64::from(height) * dz];
+    let per = f64::from(size) / sides[0].max(sides[1]);
+    let [w, h] = sides.map(|side| ((side * per).round() as u32).max(1));
+    if [w, h] == [width, height] {
+        return Ok((heights, place));
+    }
+    rules.push(format!("{width} × {height} pixels resampled to {w} × {h} columns"));
+    let steps = [f64::from(width) / f64::from(w), f64::from(height) / f64::from(h)];
+    let place = place.map(|place| {
+        let affine = place.affine.map(|[a, b, c]| [a * steps[0], b * steps[1], c]);
+        Place { affine, ..place }
+    });
+    Ok((relief::resample(&heights, w, h)?, place))
 }
 
 /// Decodes an image after checking what it claims against the bytes there are.

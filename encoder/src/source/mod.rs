@@ -60,6 +60,7 @@ mod ply;
 mod points;
 pub mod procedural;
 mod qb;
+mod relief;
 mod spots;
 mod stack;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
@@ -80,6 +81,8 @@ use crate::pieces::{self, Pieces};
 #[cfg(not(target_arch = "wasm32"))]
 use crate::remote;
 use crate::{Error, Input, Result};
+
+pub use relief::Exaggeration;
 
 /// Highest column that a scene can hold, in voxels.
 pub const MAX_HEIGHT: u64 = 65_536;
@@ -110,7 +113,8 @@ pub struct ReadOptions {
     /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
-    /// Voxels along the longest side of a mesh or a cloud of points, up to 16384 [default: 512; of LAS see --voxel]
+    /// Voxels along the longest side of a mesh or a cloud of points [default: 512; of LAS see --voxel], columns along that of a height
+    /// map [default: its pixels]; up to 16384
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=16384))]
     pub size: Option<u32>,
     /// Side of a voxel in units of a mesh or a cloud of points [default of LAS: the mean distance of points]
@@ -131,6 +135,13 @@ pub struct ReadOptions {
     /// Heights of a PNG or TIFF that its colours code, as web maps have them
     #[arg(long, value_enum, value_name = "CODE")]
     pub rgb: Option<HeightCode>,
+    /// Colours of a height map that has none, by height: terrain, grey, viridis, cividis, magma, inferno, plasma, turbo, none, or a
+    /// file as gdaldem color-relief reads it
+    #[arg(long, value_name = "NAME|FILE")]
+    pub ramp: Option<String>,
+    /// How much higher a height map's relief is drawn than it is wide; auto: as much as shows it [default: 1]
+    #[arg(long, value_name = "N|auto")]
+    pub exaggeration: Option<Exaggeration>,
     /// Value of a height map that stands for no data [default: what the file says]
     #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
     pub nodata: Option<f64>,
@@ -409,13 +420,15 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         opts.up.is_some() && !is_volume && !is_mesh && format != Format::Binvox,
         "the format has an up axis of its own",
     );
-    unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
+    unused("--size", opts.size.is_some() && !is_mesh && !is_map, "it is for meshes, clouds of points and height maps");
     unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
     unused("--dtype", opts.dtype.is_some() && !is_headless, "the file states its type");
     unused("--dims", opts.dims.is_some() && !is_headless, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--rgb", opts.rgb.is_some() && !is_image, "it is for images of heights in colours");
+    unused("--ramp", opts.ramp.is_some() && !is_map, "it is for height maps");
+    unused("--exaggeration", opts.exaggeration.is_some() && !is_map, "it is for height maps");
     unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
