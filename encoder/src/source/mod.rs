@@ -7,7 +7,7 @@
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
-//! | `mesh`, `ply`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
+//! | `mesh`: `ply`, `obj`, `stl`, `gltf`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
 //! | `points` | LAS, LAZ, PLY without faces | z-up |
 //! | `procedural` | nothing: seeded functions | y-up |
 //!
@@ -28,22 +28,30 @@
 //! |---|---|---|
 //! | PNG or JPEG that cannot be read by rows | its pixels, while it is unpacked | 3 to 8 bytes a pixel |
 //! | TIFF | a strip or tile of a height map, a page of a stack | 8 bytes a pixel of it |
-//! | meshes | corners, triangles, textures | 24 to 36 bytes a corner, 16 a triangle, 4 a pixel |
+//! | meshes | corners, triangles, textures | 36 to 60 bytes a corner, 16 a triangle, 4 a pixel; with `--fill` 100 a triangle more |
 //! | PLY clouds | points | 16 bytes a point |
 //! | `.vxl` | runs and colours | the file's size, thrice |
 //! | `.vox` | voxels of all instances of models | 2³¹ voxels, 2²⁶ columns; 26 bytes a voxel, 8 a column |
 
 mod dem;
+mod fill;
+#[cfg(feature = "mesh")]
+mod gltf;
 mod heightmap;
 mod heights;
 mod mesh;
+#[cfg(feature = "mesh")]
+mod obj;
 mod pixels;
 mod ply;
 mod points;
 pub mod procedural;
 mod spots;
 mod stack;
-#[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
+#[cfg(feature = "mesh")]
+mod stl;
+#[cfg(feature = "mesh")]
+mod text;
 mod texture;
 mod volume;
 mod vox;
@@ -94,6 +102,9 @@ pub struct ReadOptions {
     /// Side of a voxel in units of a mesh or a cloud of points [default of LAS: the mean distance of points]
     #[arg(long, value_name = "UNITS", value_parser = positive, conflicts_with = "size")]
     pub voxel: Option<f64>,
+    /// Fill closed meshes: solid where the middle of a voxel is inside, too
+    #[arg(long)]
+    pub fill: bool,
     /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     pub height_scale: Option<f64>,
@@ -323,6 +334,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
     unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
+    unused("--fill", opts.fill && (!is_mesh || format == Format::Las), "it is for meshes");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
     unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
     unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
@@ -365,9 +377,9 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         #[cfg(feature = "mesh")]
         Format::Stl | Format::Obj | Format::Gltf => {
             let mesh = match format {
-                Format::Stl => mesh::stl(path, bytes),
-                Format::Obj => mesh::obj(path, bytes),
-                _ => mesh::gltf(path, bytes),
+                Format::Stl => stl::read(path, bytes),
+                Format::Obj => obj::read(path, bytes),
+                _ => gltf::read(path, bytes),
             }?;
             return boxed(mesh::Voxelized::new(path, mesh, opts));
         }
@@ -429,7 +441,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
         (b"NRRD000", Format::Nrrd),
         (b"VOX ", Format::Vox),
         (b"ply\n", Format::Ply),
-        (b"ply\r\n", Format::Ply),
+        (b"ply\r", Format::Ply),
         (b"glTF", Format::Gltf),
         (b"LASF", Format::Las),
         (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
@@ -445,7 +457,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     } else {
         head
     };
-    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r\n") {
+    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
         return Some(Format::Ply);
     }
     matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)

@@ -12,10 +12,11 @@ use bytemuck::{Pod, Zeroable};
 use super::mesh::{self, Mesh};
 use super::spots::{self, Spot};
 use super::{ReadOptions, Up, world_dims};
+use crate::about::Kind;
 use crate::format::TILE;
 use crate::pieces::Pieces;
 use crate::scratch::{self as file, File, read_at};
-use crate::{Error, Input, Result};
+use crate::{About, Error, Input, Result};
 
 /// Points of a list that are written together.
 const TOGETHER: usize = 4096;
@@ -43,6 +44,7 @@ pub(super) struct Points {
     /// What a colour is divided by to have 8 bits.
     color_unit: u32,
     notes: Vec<String>,
+    about: About,
     input_bytes: u64,
 }
 
@@ -94,21 +96,26 @@ impl Points {
         let notes = vec![format!("{n} points, voxels of {} units", 1.0 / scale)];
         // Many writers put 8 bits where 16 belong.
         let color_unit = if brightest > 255 { 257 } else { 1 };
-        Ok(Points { dims, file, lists, colored, color_unit, notes, input_bytes: 0 })
+        Ok(Points { dims, file, lists, colored, color_unit, notes, about: About::default(), input_bytes: 0 })
     }
 
     /// Of a mesh without faces.
     pub fn of_mesh(path: &Path, cloud: Mesh, opts: &ReadOptions) -> Result<Points> {
         let up = opts.up.unwrap_or_default();
-        let turned = |p: [f32; 3]| turn(up, p.map(f64::from));
         let (low, high) = mesh::bounds(path, &cloud.positions)?;
         let (low, high) = box_of(turn(up, low), turn(up, high));
         let scale = mesh::scale(path, low, high, opts, 512)?;
-        Points::new(path, [low, high], scale, !cloud.colors.is_empty(), |point| {
+        // In f32 from here on, so that points on a grid whose steps are no binary fractions come to lie in its cells.
+        let cell = |p: [f64; 3]| [0, 1, 2].map(|a| f64::from(((p[a] - low[a]) * scale) as f32));
+        let box_of_cells = [cell(low), cell(high)];
+        let mut points = Points::new(path, box_of_cells, 1.0, !cloud.colors.is_empty(), |point| {
             cloud.positions.iter().enumerate().try_for_each(|(i, &p)| {
-                point(turned(p), cloud.colors.get(i).copied().unwrap_or_default().map(u16::from))
+                point(cell(turn(up, p)), cloud.colors.get(i).copied().unwrap_or_default().map(u16::from))
             })
-        })
+        })?;
+        points.notes = vec![format!("{} points, voxels of {} units", cloud.positions.len(), 1.0 / scale)];
+        points.about = About { kind: Some(Kind::Points), voxel: Some([1.0 / scale; 3]), ..cloud.about };
+        Ok(points)
     }
 
     /// LAS and LAZ, z up unless `--up` says otherwise. Voxels are as wide as the mean distance of points where nobody
@@ -213,6 +220,10 @@ impl Pieces for Points {
 
     fn notes(&self) -> &[String] {
         &self.notes
+    }
+
+    fn about(&self) -> About {
+        self.about.clone()
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
