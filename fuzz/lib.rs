@@ -22,6 +22,7 @@ pub fn import(format: Format, bytes: &[u8]) {
         iso: (flags & 2 != 0).then_some(f64::from(*iso) - 64.0),
         // Meshes and clouds of points: few voxels, many runs.
         size: Some(16),
+        fill: flags & 16 != 0,
         height_scale: (flags & 4 != 0).then_some(f64::from(*iso) / 16.0 - 2.0),
         ..ReadOptions::default()
     };

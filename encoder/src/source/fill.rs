@@ -55,36 +55,11 @@ struct Edge {
 impl Inside {
     /// Of triangles whose corners are in voxels of a world with `nz` rows.
     pub fn new(corners: &[[f32; 3]], faces: &[[u32; 3]], nz: u32) -> Inside {
-        // One number a place.
-        let mut places: HashMap<[u32; 3], u32> = HashMap::new();
-        let mut positions: Vec<[f32; 3]> = Vec::new();
-        let place_of: Vec<u32> = corners
-            .iter()
-            .map(|&p| {
-                // −0 is 0.
-                let p = p.map(|v| v + 0.0);
-                *places.entry(p.map(f32::to_bits)).or_insert_with(|| {
-                    positions.push(p);
-                    positions.len() as u32 - 1
-                })
-            })
-            .collect();
-        drop(places);
-        let faces: Vec<[u32; 3]> = faces
-            .iter()
-            .map(|t| t.map(|i| place_of[i as usize]))
-            .filter(|[a, b, c]| a != b && b != c && c != a)
-            .collect();
+        let (positions, place_of) = weld(corners);
+        let faces: Vec<[u32; 3]> =
+            faces.iter().map(|t| t.map(|i| place_of[i as usize])).filter(|t| has_area(t)).collect();
         let roots = roots(positions.len(), &faces);
-        let mut edges: Vec<Edge> = Vec::with_capacity(3 * faces.len());
-        for &[a, b, c] in &faces {
-            let part = roots[a as usize];
-            for (from, to) in [(a, b), (b, c), (c, a)] {
-                let sense = if from < to { 1 } else { -1 };
-                edges.push(Edge { part, from: from.min(to), to: from.max(to), sense });
-            }
-        }
-        edges.sort_unstable();
+        let edges = edges(&faces, &roots);
         let mut area: HashMap<u32, f64> = HashMap::new();
         for face in &faces {
             *area.entry(roots[face[0] as usize]).or_default() += size(face.map(|i| positions[i as usize]));
@@ -188,6 +163,55 @@ impl Inside {
         }
         out
     }
+}
+
+/// Corners at different places, and of each corner which of these it is.
+fn weld(corners: &[[f32; 3]]) -> (Vec<[f32; 3]>, Vec<u32>) {
+    let mut places: HashMap<[u32; 3], u32> = HashMap::new();
+    let mut positions: Vec<[f32; 3]> = Vec::new();
+    let place_of = corners
+        .iter()
+        .map(|&p| {
+            // −0 is 0.
+            let p = p.map(|v| v + 0.0);
+            *places.entry(p.map(f32::to_bits)).or_insert_with(|| {
+                positions.push(p);
+                positions.len() as u32 - 1
+            })
+        })
+        .collect();
+    (positions, place_of)
+}
+
+fn has_area([a, b, c]: &[u32; 3]) -> bool {
+    a != b && b != c && c != a
+}
+
+/// All edges of faces, part by part.
+fn edges(faces: &[[u32; 3]], roots: &[u32]) -> Vec<Edge> {
+    let mut edges: Vec<Edge> = Vec::with_capacity(3 * faces.len());
+    for &[a, b, c] in faces {
+        let part = roots[a as usize];
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            let sense = if from < to { 1 } else { -1 };
+            edges.push(Edge { part, from: from.min(to), to: from.max(to), sense });
+        }
+    }
+    edges.sort_unstable();
+    edges
+}
+
+/// Whether each face is of a part without any hole.
+pub(super) fn closed(corners: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<bool> {
+    let (positions, place_of) = weld(corners);
+    let places: Vec<[u32; 3]> = faces.iter().map(|t| t.map(|i| place_of[i as usize])).collect();
+    let all: Vec<[u32; 3]> = places.iter().copied().filter(has_area).collect();
+    let roots = roots(positions.len(), &all);
+    let mut is_closed = vec![true; positions.len()];
+    for same in edges(&all, &roots).chunk_by(|a, b| (a.from, a.to) == (b.from, b.to)) {
+        is_closed[same[0].part as usize] &= same.len() % 2 == 0;
+    }
+    places.iter().map(|t| is_closed[roots[t[0] as usize] as usize]).collect()
 }
 
 /// Of each corner the number of one that stands for all it hangs together with.

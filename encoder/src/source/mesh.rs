@@ -3,13 +3,16 @@
 //! A voxel is solid where a triangle touches it (conservative: no triangle, however thin, is lost between voxels).
 //! Exact, by columns: a triangle clipped to a column is one polygon, and the voxels it touches there are just those
 //! between its lowest and its highest point. The inside is filled by `--fill` alone, as scanned meshes often have none.
+//!
+//! Where faces and edges lie just between two voxels: those of a closed surface belong to the voxels inside of it, so that a box
+//! of 4 × 6 × 8 is as large wherever it stands; those of an open one touch the voxels above.
 
 use std::ops::Range;
 use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::fill::Inside;
+use super::fill::{self, Inside};
 use super::spots::{self, Spot};
 use super::texture::Texture;
 use super::{ReadOptions, Up, world_dims};
@@ -242,6 +245,8 @@ pub(super) struct Voxelized {
     /// Triangles that touch each [`BAND`] of rows.
     bands: Vec<Vec<u32>>,
     inside: Option<Inside>,
+    /// Whether a triangle is of a closed surface; empty where that makes no difference.
+    closed: Vec<bool>,
     about: About,
     notes: Vec<String>,
 }
@@ -297,6 +302,13 @@ impl Voxelized {
         notes.push(format!("{} triangles, {scale:.6} voxels a unit of the mesh", triangles.len()));
         let positions: Vec<[f32; 3]> =
             positions.iter().map(|p| [0, 1, 2].map(|a| ((p[a] - low[a]) * scale) as f32)).collect();
+        // An edge between two layers of voxels of the world.
+        let between = |p: [f32; 3], q: [f32; 3]| (0..3).any(|a| p[a] == q[a] && p[a].fract() == 0.0 && p[a] > 0.0 && p[a] < dims[a] as f32);
+        let any = triangles.iter().any(|t| {
+            let [p, q, r] = t.map(|i| positions[i as usize]);
+            between(p, q) || between(q, r) || between(r, p)
+        });
+        let closed = if any { fill::closed(&positions, &triangles) } else { Vec::new() };
         let inside = opts.fill.then(|| Inside::new(&positions, &triangles, dims[2]));
         about.axes = match up {
             Up::X => "x of the file is up",
@@ -329,6 +341,7 @@ impl Voxelized {
             paint_of,
             bands,
             inside,
+            closed,
             about,
             notes,
         })
@@ -369,11 +382,21 @@ impl Voxelized {
         let triangle: [Corner<N>; 3] = self.triangles[i as usize].map(corner);
         let texture = paint.and_then(|paint| self.texture(paint, &triangle));
         let cutoff = paint.and_then(|paint| paint.cutoff);
+        // Which way is out, for triangles that have an inside.
+        let out_of = self.closed.get(i as usize).filter(|closed| **closed).map(|_| {
+            let side = |k: usize, axis: usize| triangle[k][axis % 3] - triangle[0][axis % 3];
+            [0, 1, 2].map(|a| side(1, a + 1) * side(2, a + 2) - side(1, a + 2) * side(2, a + 1))
+        });
         let cells = |polygon: &[Corner<N>], axis: usize, within: &Range<u32>| {
             let low = polygon.iter().map(|c| c[axis]).fold(f64::INFINITY, f64::min);
             let high = polygon.iter().map(|c| c[axis]).fold(f64::NEG_INFINITY, f64::max);
             let last = self.dims[axis] - 1;
-            let (low, high) = ((low as u32).min(last), (high as u32).min(last));
+            let high = match out_of {
+                // Just between two cells: in the lower one where it ends there, or what is inside does.
+                Some(out_of) if high.fract() == 0.0 && (low < high || out_of[axis] > 0.0) => high - 1.0,
+                _ => high,
+            };
+            let (low, high) = ((low.min(high) as u32).min(last), (high as u32).min(last));
             low.max(within.start)..(high + 1).min(within.end)
         };
         let (mut row, mut column, mut scratch) = (Vec::new(), Vec::new(), Vec::new());

@@ -52,6 +52,7 @@ mod stack;
 mod stl;
 #[cfg(feature = "mesh")]
 mod text;
+#[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod volume;
 mod vox;

@@ -30,11 +30,6 @@ impl<'a> Lines<'a> {
         Lines { bytes, at: 0, continued, joined: Vec::new() }
     }
 
-    /// Where the next line starts.
-    pub fn at(&self) -> usize {
-        self.at
-    }
-
     fn part(&mut self) -> Option<&'a [u8]> {
         let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
         let len = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());

@@ -131,7 +131,7 @@ mod stl {
         let whole = solid(" a", 0.0);
         let (_, about) = told("a.stl", &whole.as_bytes()[..whole.len() - 11], "--voxel 1");
         assert!(left_out(&about, "there is no \"endsolid\""), "{about:?}");
-        let cut = &whole.as_bytes()[..whole.len() - 40];
+        let cut = &whole.as_bytes()[..whole.rfind("endloop").unwrap()];
         assert!(error("a.stl", cut, "").contains("the file ends inside a facet"));
         let text = error("a.stl", whole.replace("vertex 4 6", "vertex 4,0 6").as_bytes(), "");
         assert!(text.contains("expected a number, found \"4,0\""), "{text}");
@@ -210,6 +210,26 @@ mod obj {
     }
 
     #[test]
+    fn boxes_are_as_large_wherever_they_stand() {
+        let boxes = |places: &[[f32; 3]]| {
+            let mut out = String::new();
+            for (i, at) in places.iter().enumerate() {
+                out += &CORNERS.map(|[x, y, z]| format!("v {} {} {}\n", x + at[0], y + at[1], z + at[2])).concat();
+                out += &FACES
+                    .map(|t| t.map(|k| usize::from(k) + 1 + 8 * i))
+                    .map(|[a, b, c]| format!("f {a} {b} {c}\n"))
+                    .concat();
+            }
+            told("a.obj", out.as_bytes(), "--voxel 1").0
+        };
+        assert_eq!(shape(&boxes(&[[0.0; 3], [10.0, 7.0, 9.0], [20.0, 20.0, 20.0]])), ([24, 26, 28], 3 * 144));
+        // An open sheet between layers touches those above, all of it.
+        let sheet = "v 0 0 0\nv 0 9 0\nv 1 0 0\nv 2 3 2\nv 8 3 2\nv 8 3 8\nv 2 3 8\nf 1 2 3\nf 4 6 5\nf 4 7 6\n";
+        let c = told("a.obj", sheet.as_bytes(), "--voxel 1").0.columns;
+        assert!((2..8).all(|x| (2..8).all(|z| c.solid(x, 3, z) && !c.solid(x, 2, z))));
+    }
+
+    #[test]
     fn obj_coordinates_of_maps_keep_their_digits() {
         // A grid of 0.1 m, half of it faces, where f32 has steps of 0.5 m.
         let grid = |east: f64, north: f64| {
@@ -256,12 +276,12 @@ mod obj {
         }
         let text: String = outline.iter().map(|[x, z]| format!("v {x} {} {z}\n", x + z)).collect();
         let face: String = (1..=outline.len()).map(|i| format!(" {i}")).collect();
-        let c = told("comb.obj", format!("{text}f{face}\n").as_bytes(), "--voxel 1").0.columns;
-        // Between teeth there is nothing.
+        let c = told("comb.obj", format!("{text}f{face}\n").as_bytes(), "--voxel 0.5").0.columns;
+        assert_eq!((c.nx(), c.nz()), (160, 60));
         let filled = |x: u32, z: u32| !c.column(x, z).is_empty();
-        assert!((5..29).all(|z| filled(0, z) && filled(10, z)), "teeth");
-        let between = c.dims()[0] - 2;
-        assert!(!(5..29).all(|z| filled(between, z)) || !(5..29).all(|z| filled(between - 1, z)), "gaps");
+        for (tooth, z) in (0..40).flat_map(|tooth| (6..58).map(move |z| (tooth, z))) {
+            assert!(filled(4 * tooth, z) && filled(4 * tooth + 1, z) && !filled(4 * tooth + 3, z), "{tooth} {z}");
+        }
     }
 
     #[test]
@@ -374,7 +394,8 @@ fn ply_has_strips_and_faces_in_any_order() {
     let (input, about) = told("a.ply", strips("8 0 1 2 3 -1 4 5 6").as_bytes(), "--voxel 1");
     // 8 × 8, and the half of 8 × 8 with its diagonal's neighbours.
     assert_eq!(input.columns.dims(), [8, 1, 28]);
-    let of = |rows: Range<u32>| rows.map(|z| (0..8).filter(|&x| input.columns.solid(x, 0, z)).count()).sum::<usize>();
+    let of =
+        |rows: Range<u32>| rows.map(|z| (0..8).filter(|&x| input.columns.solid(x, 0, z.into())).count()).sum::<usize>();
     assert_eq!((of(0..8), of(9..20), of(20..28) > 36 && of(20..28) < 52), (64, 0, true), "{}", of(20..28));
     assert_eq!(about.left_out, ["nx of \"vertex\"", "1 of \"edge\""]);
     let text = error("a.ply", strips("4 0 1 2 7").as_bytes(), "");
