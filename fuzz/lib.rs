@@ -24,6 +24,7 @@ pub fn import(format: Format, bytes: &[u8]) {
         size: Some(16),
         point_size: (flags & 16 != 0).then_some(PointSize::Auto),
         las_classes: (flags & 32 != 0).then(|| "2-6,18".parse().expect("classes")),
+        fill: flags & 16 != 0,
         height_scale: (flags & 4 != 0).then_some(f64::from(*iso) / 16.0 - 2.0),
         rgb: (flags & 16 != 0).then_some(HeightCode::Mapbox),
         nodata: (flags & 32 != 0).then_some(f64::from(*iso)),

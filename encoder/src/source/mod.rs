@@ -11,7 +11,7 @@
 //! | `kv6` | kv6, kvx, Slab6's `.vox` | (x, D−1−z, y) |
 //! | `qb`, `gox` | Qubicle and Goxel models | y-up; z-up |
 //! | `binvox` | volumes of binvox | as stored, or z-up by `--up z` |
-//! | `mesh`, `ply`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
+//! | `mesh`: `ply`, `obj`, `stl`, `gltf`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
 //! | `points`, `lidar`, `pcd` | LAS, LAZ, COPC, PCD, PLY without faces | z-up; PLY as stored, or z-up by `--up z` |
 //! | `procedural` | nothing: seeded functions | y-up |
 //!
@@ -32,7 +32,7 @@
 //! |---|---|---|
 //! | PNG or JPEG that cannot be read by rows | its pixels, while it is unpacked | 3 to 8 bytes a pixel |
 //! | TIFF | a strip or tile of a height map, a page of a stack | 8 bytes a pixel of it |
-//! | meshes | corners, triangles, textures | 24 to 36 bytes a corner, 16 a triangle, 4 a pixel |
+//! | meshes | corners, triangles, textures | 36 to 60 bytes a corner, 16 a triangle, 4 a pixel; with `--fill` 100 a triangle more |
 //! | PLY clouds | points | 16 bytes a point |
 //! | `.vxl` | runs and colours | the file's size, thrice |
 //! | `.vox` | voxels of all instances of models | 2³¹ voxels, 2²⁶ columns; 36 bytes a voxel, 8 a column |
@@ -43,8 +43,11 @@
 mod binvox;
 mod cells;
 mod dem;
+mod fill;
 mod geo;
 mod geotiff;
+#[cfg(feature = "mesh")]
+mod gltf;
 mod gox;
 mod grids;
 mod heightmap;
@@ -54,6 +57,8 @@ mod kv6;
 mod lidar;
 mod mesh;
 mod mosaic;
+#[cfg(feature = "mesh")]
+mod obj;
 mod pcd;
 mod pixels;
 mod ply;
@@ -63,7 +68,11 @@ mod qb;
 mod relief;
 mod spots;
 mod stack;
-#[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
+#[cfg(feature = "mesh")]
+mod stl;
+#[cfg(feature = "mesh")]
+mod text;
+#[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod tiff;
 mod volume;
@@ -120,6 +129,9 @@ pub struct ReadOptions {
     /// Side of a voxel in units of a mesh or a cloud of points [default of LAS: the mean distance of points]
     #[arg(long, value_name = "UNITS", value_parser = positive, conflicts_with = "size")]
     pub voxel: Option<f64>,
+    /// Fill closed meshes: solid where the middle of a voxel is inside, too
+    #[arg(long)]
+    pub fill: bool,
     /// Voxels a unit of a height map's value [default: 1 for 8 bits; from the pixel size where that is known]
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     pub height_scale: Option<f64>,
@@ -422,6 +434,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     );
     unused("--size", opts.size.is_some() && !is_mesh && !is_map, "it is for meshes, clouds of points and height maps");
     unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
+    unused("--fill", opts.fill && (!is_mesh || format == Format::Las), "it is for meshes");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
     unused("--dtype", opts.dtype.is_some() && !is_headless, "the file states its type");
     unused("--dims", opts.dims.is_some() && !is_headless, "the file states its size");
@@ -489,9 +502,9 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         #[cfg(feature = "mesh")]
         Format::Stl | Format::Obj | Format::Gltf => {
             let mesh = match format {
-                Format::Stl => mesh::stl(path, bytes),
-                Format::Obj => mesh::obj(path, bytes),
-                _ => mesh::gltf(path, bytes),
+                Format::Stl => stl::read(path, bytes),
+                Format::Obj => obj::read(path, bytes),
+                _ => gltf::read(path, bytes),
             }?;
             return boxed(mesh::Voxelized::new(path, mesh, opts));
         }
@@ -576,7 +589,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
         (b"VERSION .7\n", Format::Pcd),
         (b"VERSION 0.7\n", Format::Pcd),
         (b"ply\n", Format::Ply),
-        (b"ply\r\n", Format::Ply),
+        (b"ply\r", Format::Ply),
         (b"glTF", Format::Gltf),
         (b"LASF", Format::Las),
         (&vxl::MAGIC.to_le_bytes(), Format::Vxl),
@@ -598,7 +611,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     } else {
         head
     };
-    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r\n") {
+    if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
         return Some(Format::Ply);
     }
     matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)

@@ -387,6 +387,13 @@ fn scratch(action: &'static str) -> impl Fn(std::io::Error) -> Error {
     move |e| Error::io(std::env::temp_dir(), action, e)
 }
 
+/// The voxel of a place along an axis, in voxels. A place within a millionth of a boundary is on it: in f64, points on a grid whose
+/// steps are no binary fractions come out a little below.
+fn cell(at: f64) -> u32 {
+    let near = at.round();
+    (if (at - near).abs() < 1e-6 { near } else { at }) as u32
+}
+
 type Then<'a> = &'a mut dyn FnMut(Point) -> Result<()>;
 
 impl Points {
@@ -502,14 +509,13 @@ impl Points {
 
     /// Of a mesh without faces.
     pub fn of_mesh(path: &Path, cloud: Mesh, opts: &ReadOptions) -> Result<Points> {
-        let (has, about) = (Has { rgb: !cloud.colors.is_empty(), ..Has::default() }, About::new(Kind::Points, "PLY"));
-        let place = |p: [f32; 3]| p.map(f64::from);
+        let (has, about) = (Has { rgb: !cloud.colors.is_empty(), ..Has::default() }, cloud.about);
         let spacing = Spacing::Longest;
         let setup = Cloud { about, has, claimed: None, quantum: [0.0; 3], metres: [1.0; 3], spacing };
         Points::new(path, opts, opts.up.unwrap_or_default(), setup, |then| {
-            cloud.positions.iter().enumerate().try_for_each(|(i, &p)| {
+            cloud.positions.iter().enumerate().try_for_each(|(i, &at)| {
                 let color = cloud.colors.get(i).copied().unwrap_or_default().map(u16::from);
-                then(Point { at: place(p), color, ..Point::default() })
+                then(Point { at, color, ..Point::default() })
             })
         })
     }
@@ -620,7 +626,7 @@ fn pass(
             return Ok(());
         }
         survey.add(p, &point);
-        let [x, y, z] = [0, 1, 2].map(|a| (((p[a] - low[a]) * scale) as u32).min(dims[a] - 1));
+        let [x, y, z] = [0, 1, 2].map(|a| cell((p[a] - low[a]) * scale).min(dims[a] - 1));
         let look = if rgb { point.color } else { [point.intensity, point.class.into(), 0] };
         let list = (z / TILE) as usize;
         waiting[list].push(Record { x, z, y: y as u16, look });

@@ -5,6 +5,8 @@ use std::io::Write;
 use clap::{Parser, ValueEnum};
 use flate2::write::GzEncoder;
 
+mod meshes;
+
 use super::procedural::noise::hash;
 use super::procedural::{Kind, from_name, procedural, procedural_pieces};
 use super::*;
@@ -1458,8 +1460,8 @@ fn obj_textures_are_seen_from_above_as_they_are() {
     assert!(red.enumerate_pixels().all(|(x, z, p)| p.0 == [picture.get_pixel(x, z).0[0], 0, 0]));
     // A picture that is not there leaves the rest.
     assert!(with("Kd 1 0 0\nmap_Kd none.png").pixels().all(|p| p.0 == [255, 0, 0]));
-    let notes = open(&dir.path().join("m.obj"), &opts("--voxel 1")).unwrap().notes;
-    assert!(notes.iter().any(|n| n.contains("a texture is left out") && n.contains("none.png")), "{notes:?}");
+    let said = open_pieces(&dir.path().join("m.obj"), &opts("--voxel 1")).unwrap().about().left_out;
+    assert!(said.iter().any(|n| n.contains("a texture is left out") && n.contains("none.png")), "{said:?}");
 }
 
 #[test]
@@ -1508,7 +1510,7 @@ fn meshes_that_name_devices_do_not_have_them_read() {
     let dir = tempfile::tempdir().unwrap();
     let notes = |name: &str, text: &[u8]| {
         fs::write(dir.path().join(name), text).unwrap();
-        open(&dir.path().join(name), &opts("--voxel 1")).map(|input| input.notes.join("\n"))
+        open_pieces(&dir.path().join(name), &opts("--voxel 1")).map(|pieces| pieces.about().left_out.join("\n"))
     };
     let square = "v 0 0 0\nv 8 0 0\nv 8 0 8\nvt 0 1\nusemtl m\nf 1/1 2/1 3/1\n";
     let of_obj = |library: &str| notes("m.obj", format!("mtllib {library}\n{square}").as_bytes()).unwrap();
