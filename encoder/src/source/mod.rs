@@ -2,7 +2,7 @@
 //!
 //! | module | reads | world |
 //! |---|---|---|
-//! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
+//! | `volume`, `nrrd`, `nifti` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
@@ -37,6 +37,8 @@ mod dem;
 mod heightmap;
 mod heights;
 mod mesh;
+mod nifti;
+mod nrrd;
 mod pixels;
 mod ply;
 mod points;
@@ -341,8 +343,8 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     let mut input = match format {
         Format::Raw => return volume(volume::raw(path, bytes, opts)),
         Format::Npy => return volume(volume::npy(path, bytes, opts)),
-        Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
-        Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
+        Format::Nrrd => return volume(nrrd::read(path, bytes, opts)),
+        Format::Nifti => return volume(nifti::read(path, bytes, opts)),
         Format::Heightmap => {
             let mut map = heightmap::read(path, bytes, in_file, opts)?;
             map.notes.append(&mut notes);
@@ -440,7 +442,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     let mut inflated = Vec::new();
     let head = if head.starts_with(b"\x1f\x8b") {
         // Too short or broken a stream simply does not look like NIfTI.
-        let _ = flate2::read::MultiGzDecoder::new(head).take(volume::NIFTI_HEADER).read_to_end(&mut inflated);
+        let _ = flate2::read::MultiGzDecoder::new(head).take(nifti::NIFTI_HEADER).read_to_end(&mut inflated);
         &inflated
     } else {
         head

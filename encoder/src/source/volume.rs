@@ -1,4 +1,4 @@
-//! Dense volumes: raw, NPY, NRRD, NIfTI.
+//! Dense volumes, and those without much of a header: raw, NPY.
 //!
 //! Each reader only finds out where the values are and what they are ([`Stored`]); a [`Volume`] makes columns of them,
 //! a piece at a time. Its values stay in their file, and are read in stretches as long as the order of the axes allows:
@@ -17,31 +17,28 @@ use flate2::read::MultiGzDecoder;
 use rayon::prelude::*;
 
 use super::heights::Heights;
-use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
+use super::{Dtype, ReadOptions, Up, world_dims};
 use crate::pieces::Pieces;
 use crate::scratch::{self, File, read_at};
 use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
 
-/// Bytes of a NIfTI-1 header.
-pub(super) const NIFTI_HEADER: u64 = 348;
-
 /// A dense volume as a file holds it.
-struct Stored<'a> {
+pub(super) struct Stored<'a> {
     /// Values an axis (x, y, z of the input).
-    dims: [u64; 3],
+    pub(super) dims: [u64; 3],
     /// Whether z is fastest in the file, not x.
-    z_fastest: bool,
-    dtype: Dtype,
-    big_endian: bool,
+    pub(super) z_fastest: bool,
+    pub(super) dtype: Dtype,
+    pub(super) big_endian: bool,
     /// What a stored value means: `value · slope + inter`.
-    scale: Option<(f64, f64)>,
+    pub(super) scale: Option<(f64, f64)>,
     /// Exactly the values.
-    data: Data<'a>,
-    notes: Vec<String>,
+    pub(super) data: Data<'a>,
+    pub(super) notes: Vec<String>,
 }
 
 /// Where values are.
-enum Data<'a> {
+pub(super) enum Data<'a> {
     Slice(&'a [u8]),
     /// From byte `at` on, `len` bytes.
     File {
@@ -96,7 +93,7 @@ impl Data<'_> {
     }
 
     /// The same values, still in the file at `path` where they are a part of its bytes `whole`.
-    fn in_file(self, path: &Path, whole: &[u8]) -> Result<Data<'static>> {
+    pub(super) fn in_file(self, path: &Path, whole: &[u8]) -> Result<Data<'static>> {
         match self {
             Data::Slice(bytes) => {
                 let at = (bytes.as_ptr() as usize - whole.as_ptr() as usize) as u64;
@@ -133,7 +130,7 @@ macro_rules! with_sample {
 }
 
 /// Bytes of a volume's values.
-fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
+pub(super) fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
     let voxels = dims.iter().try_fold(1u64, |n, &d| n.checked_mul(d));
     voxels.and_then(|n| n.checked_mul(dtype.size())).ok_or_else(|| {
         let [x, y, z] = dims;
@@ -294,258 +291,8 @@ fn npy_array<'a>(path: &Path, bytes: &'a [u8]) -> Result<(usize, Stored<'a>)> {
     Ok((rank, Stored { dims, z_fastest, dtype, big_endian, scale: None, data, notes: Vec::new() }))
 }
 
-/// NRRD: text header, values raw or gzip, in the same file or a detached one.
-pub(super) fn nrrd<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    let fail = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
-    if !bytes.starts_with(b"NRRD000") {
-        return fail(0, "expected the NRRD signature NRRD000".to_owned());
-    }
-    let mut header = NrrdHeader::default();
-    let mut at = 0;
-    // The header ends with an empty line; a detached one may end with its file.
-    let header_end = loop {
-        let Some(len) = bytes[at..].iter().position(|&b| b == b'\n') else {
-            if bytes.len() - at > 0 && header.data_file.is_none() {
-                return fail(at, "the file ends inside the NRRD header".to_owned());
-            }
-            break bytes.len();
-        };
-        let line = String::from_utf8_lossy(&bytes[at..at + len]);
-        let line = line.trim_end();
-        if line.is_empty() {
-            break at + len + 1;
-        }
-        if at > 0
-            && let Err(what) = header.field(line)
-        {
-            return fail(at, what);
-        }
-        at += len + 1;
-    };
-    let missing = |what| Error::format(path, format!("byte {header_end}: the NRRD header ends without \"{what}\""));
-    let dtype = header.dtype.ok_or_else(|| missing("type"))?;
-    let encoding = header.encoding.clone().ok_or_else(|| missing("encoding"))?;
-    let mut sizes = header.sizes.clone().ok_or_else(|| missing("sizes"))?;
-    if header.dimension.is_some_and(|d| d != sizes.len()) {
-        return fail(0, format!("dimension is {} but there are {} sizes", header.dimension.unwrap_or(0), sizes.len()));
-    }
-    if sizes.len() > 3 {
-        sizes.retain(|&n| n != 1);
-    }
-    let &[x, y, z] = sizes.as_slice() else {
-        return fail(
-            0,
-            format!("sizes {:?}: expected three axes, one value a voxel", header.sizes.unwrap_or_default()),
-        );
-    };
-    let dims = [x, y, z];
-    let expected = byte_len(path, dims, dtype)?;
-    if dtype.size() > 1 && header.big_endian.is_none() {
-        return Err(missing("endian"));
-    }
-
-    let detached = header.data_file.as_ref().map(|name| path.parent().unwrap_or(Path::new("")).join(name));
-    let detached = detached.map(|path| Ok((map(&path)?, path))).transpose()?;
-    let (data_path, mut data) = match &detached {
-        Some((bytes, path)) => (path.clone(), &**bytes),
-        None => (path.to_owned(), &bytes[header_end..]),
-    };
-    for _ in 0..header.line_skip {
-        let Some(len) = data.iter().position(|&b| b == b'\n') else {
-            return Err(Error::format(data_path, format!("fewer lines than \"line skip: {}\"", header.line_skip)));
-        };
-        data = &data[len + 1..];
-    }
-    let short = |got: usize| {
-        Error::format(&data_path, format!("{got} bytes of values; {x} × {y} × {z} of this type expect {expected}"))
-    };
-    let values = match encoding.as_str() {
-        "raw" => {
-            let skip = match header.byte_skip {
-                -1 => (data.len() as u64).checked_sub(expected).ok_or_else(|| short(data.len()))?,
-                n => n as u64,
-            };
-            let end =
-                skip.checked_add(expected).filter(|&e| e <= data.len() as u64).ok_or_else(|| short(data.len()))?;
-            let values = &data[skip as usize..end as usize];
-            match &detached {
-                Some((whole, path)) => Data::Slice(values).in_file(path, whole)?,
-                // The same bytes, as a part of `bytes`, which live longer.
-                None => Data::Slice(&bytes[bytes.len() - data.len()..][skip as usize..end as usize]),
-            }
-        }
-        "gzip" | "gz" => {
-            let skip = header.byte_skip.max(0) as u64;
-            let end = skip.checked_add(expected).ok_or_else(|| short(0))?;
-            gunzip(&data_path, data, skip, end)?.map_err(|got| short(got as usize))?
-        }
-        other => {
-            return fail(0, format!("encoding {other:?} is not supported; save it as raw or gzip (unu save -e gzip)"));
-        }
-    };
-    let mut notes = header.notes;
-    notes.push(
-        "NRRD axes are kept as stored: the first is x, the second y, the third z (--up z to stand on the third)"
-            .to_owned(),
-    );
-    let big_endian = header.big_endian == Some(true);
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data: values, notes };
-    Volume::new(path, stored, opts)
-}
-
-#[derive(Default)]
-struct NrrdHeader {
-    dtype: Option<Dtype>,
-    dimension: Option<usize>,
-    sizes: Option<Vec<u64>>,
-    encoding: Option<String>,
-    big_endian: Option<bool>,
-    data_file: Option<String>,
-    line_skip: u64,
-    byte_skip: i64,
-    notes: Vec<String>,
-}
-
-impl NrrdHeader {
-    /// Takes in one line after the signature.
-    fn field(&mut self, line: &str) -> Result<(), String> {
-        if line.starts_with('#') || line.contains(":=") {
-            return Ok(());
-        }
-        let (name, value) = line.split_once(':').ok_or_else(|| format!("expected \"field: value\", found {line:?}"))?;
-        let value = value.trim();
-        let bad = || format!("\"{}\" has the value {value:?}", name.trim());
-        match name.trim().to_lowercase().as_str() {
-            "type" => {
-                self.dtype = Some(match value {
-                    "uchar" | "unsigned char" | "uint8" | "uint8_t" => Dtype::U8,
-                    "signed char" | "int8" | "int8_t" => Dtype::I8,
-                    "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Dtype::U16,
-                    "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Dtype::I16,
-                    "uint" | "unsigned int" | "uint32" | "uint32_t" => Dtype::U32,
-                    "int" | "signed int" | "int32" | "int32_t" => Dtype::I32,
-                    "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Dtype::U64,
-                    "longlong"
-                    | "long long"
-                    | "long long int"
-                    | "signed long long"
-                    | "signed long long int"
-                    | "int64"
-                    | "int64_t" => Dtype::I64,
-                    "float" => Dtype::F32,
-                    "double" => Dtype::F64,
-                    _ => return Err(format!("{}; expected an integer type, float or double", bad())),
-                });
-            }
-            "dimension" => self.dimension = Some(value.parse().map_err(|_| bad())?),
-            "sizes" => {
-                let sizes: Result<Vec<u64>, _> = value.split_whitespace().map(str::parse).collect();
-                self.sizes = Some(sizes.map_err(|_| bad())?);
-            }
-            "encoding" => self.encoding = Some(value.to_lowercase()),
-            "endian" => {
-                self.big_endian = Some(match value {
-                    "little" => false,
-                    "big" => true,
-                    _ => return Err(bad()),
-                });
-            }
-            "data file" | "datafile" => {
-                if value.starts_with("LIST") || value.contains('%') {
-                    return Err(format!("{}; values spread over several files are not supported", bad()));
-                }
-                self.data_file = Some(value.to_owned());
-            }
-            "line skip" | "lineskip" => self.line_skip = value.parse().map_err(|_| bad())?,
-            "byte skip" | "byteskip" => {
-                self.byte_skip = value.parse().ok().filter(|&n| n >= -1).ok_or_else(bad)?;
-            }
-            "spacings" | "space directions" => {
-                self.notes.push(format!("{}: {value}; voxels are drawn as cubes", name.trim()))
-            }
-            // Further fields say nothing about where the values are.
-            _ => {}
-        }
-        Ok(())
-    }
-}
-
-/// NIfTI-1, plain or gzip; of a series the first volume.
-pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    let fail = |what: String| Err(Error::format(path, what));
-    let gz = bytes.starts_with(b"\x1f\x8b");
-    let head = if gz { gunzip_prefix(path, bytes, NIFTI_HEADER)? } else { bytes[..bytes.len().min(348)].to_vec() };
-    let header = guarded(path, "NIfTI", || {
-        nifti::NiftiHeader::from_reader(&*head).map_err(|e| Error::format(path, format!("NIfTI header: {e}")))
-    })?;
-    // "ni1": the values are in a file beside the header's.
-    let pair = (&header.magic != nifti::header::MAGIC_CODE_NIP1).then(|| path.with_extension("img"));
-    let rank = header.dim[0] as usize;
-    if !(1..=7).contains(&rank) {
-        return fail(format!("byte 40: {rank} axes; expected 1 to 7"));
-    }
-    let axis = |i: usize| if i <= rank { u64::from(header.dim[i]) } else { 1 };
-    let dims = [axis(1), axis(2), axis(3)];
-    if (1..=rank).any(|i| header.dim[i] == 0 || header.dim[i] > i16::MAX as u16) {
-        return fail(format!("byte 42: axis sizes {:?}; expected 1 to 32767 each", &header.dim[1..=rank]));
-    }
-    let dtype = match header.datatype {
-        2 => Dtype::U8,
-        256 => Dtype::I8,
-        512 => Dtype::U16,
-        4 => Dtype::I16,
-        768 => Dtype::U32,
-        8 => Dtype::I32,
-        1280 => Dtype::U64,
-        1024 => Dtype::I64,
-        16 => Dtype::F32,
-        64 => Dtype::F64,
-        other => return fail(format!("byte 70: values of NIfTI type {other}; expected integers, f32 or f64")),
-    };
-    let beside = pair.is_some() && header.vox_offset == 0.0;
-    if !beside && !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) {
-        return fail(format!("byte 108: values start at byte {}; expected 352 or later", header.vox_offset));
-    }
-    let start = header.vox_offset as u64;
-    let expected = byte_len(path, dims, dtype)?;
-    let end = start + expected;
-    let short = |got: u64| {
-        let [x, y, z] = dims;
-        Error::format(path, format!("{got} bytes; {x} × {y} × {z} values from byte {start} on expect {end}"))
-    };
-    let data = if let Some(pair) = &pair {
-        let whole = map(pair)?;
-        let values = whole.get(start as usize..).and_then(|v| v.get(..expected as usize));
-        Data::Slice(values.ok_or_else(|| short(whole.len() as u64))?).in_file(pair, &whole)?
-    } else if gz {
-        gunzip(path, bytes, start, end)?.map_err(short)?
-    } else {
-        let values = bytes.get(start as usize..).and_then(|v| v.get(..expected as usize));
-        Data::Slice(values.ok_or_else(|| short(bytes.len() as u64))?)
-    };
-    let mut notes = Vec::new();
-    let volumes = (4..=rank).map(axis).fold(1u64, u64::saturating_mul);
-    if volumes > 1 {
-        notes.push(format!("the file holds {volumes} volumes; the first is read"));
-    }
-    let scale = (header.scl_slope != 0.0 && header.scl_slope.is_finite() && header.scl_inter.is_finite())
-        .then_some((f64::from(header.scl_slope), f64::from(header.scl_inter)))
-        .filter(|&s| s != (1.0, 0.0));
-    if let Some((slope, inter)) = scale {
-        notes.push(format!("values are stored · {slope} + {inter}"));
-    }
-    let [_, px, py, pz, ..] = header.pixdim;
-    if px != py || py != pz {
-        notes.push(format!("voxels of {px} × {py} × {pz} are drawn as cubes"));
-    }
-    notes.push("NIfTI axes are kept as stored (--up z to stand on the third, usually towards the head)".to_owned());
-    let big_endian = header.endianness == nifti::Endianness::Big;
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes };
-    Volume::new(path, stored, opts)
-}
-
 /// The first `len` bytes of a gzip stream.
-fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
+pub(super) fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
     // Memory grows with what the stream really holds, not with what a header claims.
     let mut out = Vec::new();
     MultiGzDecoder::new(bytes)
@@ -557,7 +304,7 @@ fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
 
 /// Bytes `start..end` of a gzip stream, unpacked into a file without a name; an inner error is the number of bytes that
 /// there are, too few. The stream's end and checksum are looked at where it holds no more than these.
-fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
+pub(super) fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
     let mut file = scratch::file().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
     let mut stream = MultiGzDecoder::new(bytes).take(end.saturating_add(1));
     let mut buffer = vec![0; 1 << 20];
@@ -656,7 +403,7 @@ pub(super) struct Volume<'a> {
 
 impl<'a> Volume<'a> {
     /// Which axis is up, and where a value is solid, from the options.
-    fn new(path: &Path, stored: Stored<'a>, opts: &ReadOptions) -> Result<Volume<'a>> {
+    pub(super) fn new(path: &Path, stored: Stored<'a>, opts: &ReadOptions) -> Result<Volume<'a>> {
         // World x, y, z as axes of the input.
         let (axes, flip_z) = match opts.up.unwrap_or_default() {
             Up::X => ([2, 0, 1], false),
