@@ -2,7 +2,7 @@
 //!
 //! | module | reads | world |
 //! |---|---|---|
-//! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
+//! | `volume`, `npy` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
@@ -37,6 +37,7 @@ mod dem;
 mod heightmap;
 mod heights;
 mod mesh;
+mod npy;
 mod pixels;
 mod ply;
 mod points;
@@ -329,7 +330,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
-        && let Some(heights) = volume::npy_heights(path, bytes, in_file)?
+        && let Some(heights) = npy::npy_heights(path, bytes, in_file)?
     {
         return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
     }
@@ -340,7 +341,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     };
     let mut input = match format {
         Format::Raw => return volume(volume::raw(path, bytes, opts)),
-        Format::Npy => return volume(volume::npy(path, bytes, opts)),
+        Format::Npy => return volume(npy::npy(path, bytes, opts)),
         Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
         Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
         Format::Heightmap => {
