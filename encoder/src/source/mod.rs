@@ -2,7 +2,7 @@
 //!
 //! | module | reads | world |
 //! |---|---|---|
-//! | `volume`, `nrrd`, `nifti` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
+//! | `volume`, `npy`, `nrrd`, `nifti` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
@@ -38,6 +38,7 @@ mod heightmap;
 mod heights;
 mod mesh;
 mod nifti;
+mod npy;
 mod nrrd;
 mod pixels;
 mod ply;
@@ -331,7 +332,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
-        && let Some(heights) = volume::npy_heights(path, bytes, in_file)?
+        && let Some(heights) = npy::npy_heights(path, bytes, in_file)?
     {
         return boxed(heightmap::of_heights(path, heights, None, bytes.len() as u64, opts));
     }
@@ -342,7 +343,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     };
     let mut input = match format {
         Format::Raw => return volume(volume::raw(path, bytes, opts)),
-        Format::Npy => return volume(volume::npy(path, bytes, opts)),
+        Format::Npy => return volume(npy::npy(path, bytes, opts)),
         Format::Nrrd => return volume(nrrd::read(path, bytes, opts)),
         Format::Nifti => return volume(nifti::read(path, bytes, opts)),
         Format::Heightmap => {
@@ -442,7 +443,7 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     let mut inflated = Vec::new();
     let head = if head.starts_with(b"\x1f\x8b") {
         // Too short or broken a stream simply does not look like NIfTI.
-        let _ = flate2::read::MultiGzDecoder::new(head).take(nifti::NIFTI_HEADER).read_to_end(&mut inflated);
+        let _ = flate2::read::MultiGzDecoder::new(head).take(nifti::HEADER).read_to_end(&mut inflated);
         &inflated
     } else {
         head
