@@ -7,13 +7,13 @@ use super::{Dtype, ReadOptions, guarded, map};
 use crate::{Error, Result};
 
 /// Bytes of a NIfTI-1 header.
-pub(super) const NIFTI_HEADER: u64 = 348;
+pub(super) const HEADER: u64 = 348;
 
 /// NIfTI-1, plain or gzip; of a series the first volume.
 pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
     let fail = |what: String| Err(Error::format(path, what));
     let gz = bytes.starts_with(b"\x1f\x8b");
-    let head = if gz { gunzip_prefix(path, bytes, NIFTI_HEADER)? } else { bytes[..bytes.len().min(348)].to_vec() };
+    let head = if gz { gunzip_prefix(path, bytes, HEADER)? } else { bytes[..bytes.len().min(348)].to_vec() };
     let header = guarded(path, "NIfTI", || {
         ::nifti::NiftiHeader::from_reader(&*head).map_err(|e| Error::format(path, format!("NIfTI header: {e}")))
     })?;
@@ -42,7 +42,7 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
         other => return fail(format!("byte 70: values of NIfTI type {other}; expected integers, f32 or f64")),
     };
     let beside = pair.is_some() && header.vox_offset == 0.0;
-    if !beside && !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) {
+    if !beside && !(HEADER as f32..1e9).contains(&header.vox_offset) {
         return fail(format!("byte 108: values start at byte {}; expected 352 or later", header.vox_offset));
     }
     let start = header.vox_offset as u64;
@@ -79,6 +79,6 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     }
     notes.push("NIfTI axes are kept as stored (--up z to stand on the third, usually towards the head)".to_owned());
     let big_endian = header.endianness == ::nifti::Endianness::Big;
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes };
+    let stored = Stored { big_endian, scale, notes, ..Stored::new(dims, dtype, data) };
     Volume::new(path, stored, opts)
 }

@@ -101,7 +101,7 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
             .to_owned(),
     );
     let big_endian = header.big_endian == Some(true);
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data: values, notes };
+    let stored = Stored { big_endian, notes, ..Stored::new(dims, dtype, values) };
     Volume::new(path, stored, opts)
 }
 

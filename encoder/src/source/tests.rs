@@ -27,7 +27,7 @@ struct Cli {
 }
 
 /// Options as typed.
-fn opts(flags: &str) -> ReadOptions {
+pub(super) fn opts(flags: &str) -> ReadOptions {
     Cli::try_parse_from(["x"].into_iter().chain(flags.split_whitespace())).unwrap().read
 }
 
@@ -38,11 +38,11 @@ fn try_read(name: &str, bytes: &[u8], flags: &str) -> Result<Input> {
     Ok(input)
 }
 
-fn read(name: &str, bytes: &[u8], flags: &str) -> Input {
+pub(super) fn read(name: &str, bytes: &[u8], flags: &str) -> Input {
     try_read(name, bytes, flags).unwrap()
 }
 
-fn error(name: &str, bytes: &[u8], flags: &str) -> String {
+pub(super) fn error(name: &str, bytes: &[u8], flags: &str) -> String {
     match try_read(name, bytes, flags) {
         Err(e) => e.to_string(),
         Ok(input) => panic!("{name} was read: {:?}", input.columns.dims()),
@@ -246,7 +246,7 @@ fn raw_columns_reach_65536_and_no_higher() {
     assert!(e.contains("65537 voxels high") && e.contains("--up"), "{e}");
 }
 
-fn npy_file(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+pub(super) fn npy_file(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
     let text = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': ({shape}), }}\n");
     [b"\x93NUMPY\x01\0", &(text.len() as u16).to_le_bytes()[..], text.as_bytes(), data].concat()
 }

@@ -31,9 +31,31 @@ pub(super) struct Stored<'a> {
     pub big_endian: bool,
     /// What a stored value means: `value · slope + inter`.
     pub scale: Option<(f64, f64)>,
+    /// The stored value that stands for none: air.
+    pub missing: Option<f64>,
     /// Exactly the values.
     pub data: Data<'a>,
     pub notes: Vec<String>,
+    /// As far as the reader knows it, of the input's x, y and z: [`Volume::new`] says what it made of it. `rule` is what the
+    /// values mean, `axes` which axes of the source they are.
+    pub about: About,
+}
+
+impl<'a> Stored<'a> {
+    /// Values that mean what they are, x fastest, in little-endian order.
+    pub fn new(dims: [u64; 3], dtype: Dtype, data: Data<'a>) -> Stored<'a> {
+        Stored {
+            dims,
+            z_fastest: false,
+            dtype,
+            big_endian: false,
+            scale: None,
+            missing: None,
+            data,
+            notes: Vec::new(),
+            about: About::default(),
+        }
+    }
 }
 
 /// Where values are.
@@ -145,7 +167,7 @@ pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
 }
 
 /// A volume of which `bytes` are no more than the head right, and whose values are in `object`; None where it is a height
-/// map.
+/// map, or values are to be unpacked.
 #[cfg(feature = "object-store")]
 pub(super) fn in_object(
     path: &Path,
@@ -156,21 +178,21 @@ pub(super) fn in_object(
 ) -> Result<Option<Volume<'static>>> {
     let stored = match format {
         super::Format::Raw => raw_array(path, bytes, opts)?,
-        _ => match super::npy::npy_array(path, bytes)? {
-            (3, stored) => stored,
-            _ => return Ok(None),
+        _ => match super::npy::plain_volume(path, bytes)? {
+            Some(stored) => stored,
+            None => return Ok(None),
         },
     };
-    let Stored { dims, z_fastest, dtype, big_endian, scale, data, notes } = stored;
+    let dtype = stored.dtype;
     if opts.iso.is_none() && dtype != Dtype::U8 {
         // Looking for the range would read it all.
         let what = "values of this type need --iso V, voxels of at least V are solid";
         return Err(Error::Argument(format!("{}: {what}", path.display())));
     }
-    let Data::Slice(values) = data else { unreachable!("nothing of it was unpacked") };
+    let Data::Slice(values) = stored.data else { unreachable!("nothing of it was unpacked") };
     let at = (values.as_ptr() as usize - bytes.as_ptr() as usize) as u64;
     let data = Data::Object { object: Box::new(object), at, len: values.len() as u64 };
-    Volume::new(path, Stored { dims, z_fastest, dtype, big_endian, scale, data, notes }, opts).map(Some)
+    Volume::new(path, Stored { data, ..stored }, opts).map(Some)
 }
 
 fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Stored<'a>> {
@@ -191,7 +213,7 @@ fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Sto
         ));
     }
     let data = Data::Slice(bytes);
-    Ok(Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes: Vec::new() })
+    Ok(Stored::new(dims, dtype, data))
 }
 
 /// The first `len` bytes of a gzip stream.
@@ -315,10 +337,16 @@ impl<'a> Volume<'a> {
         };
         let dims = world_dims(path, axes.map(|a| stored.dims[a]), "--up chooses another axis")?;
         let Stored { dtype, big_endian, scale, .. } = stored;
+        let mut stored = stored;
+        // In the precision of the values, as in text it has more digits or fewer.
+        let missing = stored.missing.map(|v| if dtype == Dtype::F32 { f64::from(v as f32) } else { v });
+        stored.missing = missing;
         let masks = match opts.iso {
             Some(iso) if iso.is_nan() => return Err(Error::Argument("--iso is not a number".to_owned())),
-            Some(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale)),
-            None if dtype == Dtype::U8 => masks(u8::from_le_bytes, |v| v > 0),
+            Some(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
+            None if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => masks(u8::from_le_bytes, |v| v > 0),
+            // The least number above 0.
+            None if dtype == Dtype::U8 => iso_masks(u8::from_le_bytes, f64::from_bits(1), scale, missing),
             None => {
                 let (low, high) = with_sample!(dtype, big_endian, |read| range(&stored, read))?;
                 return Err(Error::Argument(format!(
@@ -327,9 +355,10 @@ impl<'a> Volume<'a> {
                 )));
             }
         };
+        let about = about_volume(&stored, axes, opts);
         let Stored { dims: [x, y, z], z_fastest, data, notes, .. } = stored;
         let (stored, axes) = if z_fastest { ([z, y, x], axes.map(|a| 2 - a)) } else { ([x, y, z], axes) };
-        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about: About::default() })
+        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about })
     }
 
     /// Of values that were unpacked into a file, in this machine's byte order.
@@ -341,8 +370,8 @@ impl<'a> Volume<'a> {
         opts: &ReadOptions,
     ) -> Result<Volume<'static>> {
         let data = Data::File { path: path.to_owned(), file, at: 0, len: byte_len(path, dims, dtype)? };
-        let notes = Vec::new();
-        Volume::new(path, Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes }, opts)
+        let big_endian = cfg!(target_endian = "big");
+        Volume::new(path, Stored { big_endian, ..Stored::new(dims, dtype, data) }, opts)
     }
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
@@ -560,12 +589,39 @@ fn iso_masks<T: Sample + Send + Sync + 'static, const N: usize>(
     read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
     iso: f64,
     scale: Option<(f64, f64)>,
+    missing: Option<f64>,
 ) -> Masks {
-    match T::solid_between(iso, scale) {
-        Some(Some((low, high))) => masks(read, move |v| low <= v && v <= high),
-        Some(None) => masks(read, |_| false),
-        None => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+    match (T::solid_between(iso, scale), missing) {
+        (Some(Some((low, high))), None) => masks(read, move |v| low <= v && v <= high),
+        (Some(Some((low, high))), Some(none)) => masks(read, move |v| low <= v && v <= high && v.to_f64() != none),
+        (Some(None), _) => masks(read, |_| false),
+        (None, None) => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+        (None, Some(none)) => masks(read, move |v| meaning(v.to_f64(), scale) >= iso && v.to_f64() != none),
     }
+}
+
+/// What a volume is, with its axes turned to the world's, and why voxels are solid.
+fn about_volume(stored: &Stored, axes: [usize; 3], opts: &ReadOptions) -> About {
+    let mut about = stored.about.clone();
+    if about.format.is_empty() {
+        return about;
+    }
+    about.voxel = about.voxel.map(|v| axes.map(|a| v[a]));
+    if let Some([x, y, z]) = about.voxel.filter(|v| v[0] != v[1] || v[1] != v[2]) {
+        let unit = if about.unit.is_empty() { "units" } else { &about.unit };
+        about.left_out.push(format!("voxels of {x} × {y} × {z} {unit} are drawn as cubes"));
+    }
+    let up = ["x", "y", "z"][axes[1]];
+    about.axes = match about.axes.as_str() {
+        "" => format!("axis {up} is up"),
+        of => format!("{of}, {up} is up"),
+    };
+    let solid = match opts.iso {
+        Some(iso) => format!("solid where at least {iso}"),
+        None => "solid above 0".to_owned(),
+    };
+    about.rule = if about.rule.is_empty() { solid } else { format!("{}; {solid}", about.rule) };
+    about
 }
 
 /// Least and greatest value (NaN left out).
@@ -574,6 +630,7 @@ fn range<T: Sample, const N: usize>(stored: &Stored, read: impl Fn([u8; N]) -> T
     let piece = (N as u64) << 16;
     let len = stored.data.len();
     let (slope, inter) = stored.scale.unwrap_or((1.0, 0.0));
+    let missing = stored.missing.unwrap_or(f64::NAN);
     let (a, b) = (0..len.div_ceil(piece))
         .into_par_iter()
         .map(|i| {
@@ -582,7 +639,7 @@ fn range<T: Sample, const N: usize>(stored: &Stored, read: impl Fn([u8; N]) -> T
             let (values, _) = bytes.as_chunks::<N>();
             Ok(values.iter().fold(NONE, |(low, high), &v| {
                 let v = read(v).to_f64();
-                (low.min(v), high.max(v))
+                if v == missing { (low, high) } else { (low.min(v), high.max(v)) }
             }))
         })
         .try_reduce(|| NONE, |a, b| Ok((a.0.min(b.0), a.1.max(b.1))))?;
