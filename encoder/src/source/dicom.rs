@@ -536,3 +536,6 @@ fn masked(bytes: &[u8], form: Form) -> Vec<u8> {
         _ => each!(u32, i32),
     }
 }
+
+#[cfg(test)]
+mod tests;

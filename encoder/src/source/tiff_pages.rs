@@ -789,7 +789,7 @@ fn pack_bits(mut stored: &[u8], expected: usize, out: &mut Vec<u8>) {
             -128 => {}
             n => {
                 let Some((&value, rest)) = stored.split_first() else { return };
-                out.extend(std::iter::repeat_n(value, 1 - isize::from(n) as usize));
+                out.extend(std::iter::repeat_n(value, (1 - isize::from(n)) as usize));
                 stored = rest;
             }
         }

@@ -361,19 +361,6 @@ impl<'a> Volume<'a> {
         Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about })
     }
 
-    /// Of values that were unpacked into a file, in this machine's byte order.
-    pub(super) fn unpacked(
-        path: &Path,
-        file: File,
-        dims: [u64; 3],
-        dtype: Dtype,
-        opts: &ReadOptions,
-    ) -> Result<Volume<'static>> {
-        let data = Data::File { path: path.to_owned(), file, at: 0, len: byte_len(path, dims, dtype)? };
-        let big_endian = cfg!(target_endian = "big");
-        Volume::new(path, Stored { big_endian, ..Stored::new(dims, dtype, data) }, opts)
-    }
-
     /// The same volume, its values read from the file at `path`, which holds `whole`.
     pub(super) fn in_file(self, path: &Path, whole: &[u8]) -> Result<Volume<'static>> {
         let Volume { stored, size, data, masks, dims, axes, flip_z, notes, about } = self;

@@ -471,11 +471,11 @@ fn lerc_is_read_and_what_it_masks_is_air() {
 fn strips_and_tiles_that_were_never_written_are_zero() {
     // Two strips of rows 0..9 and 9..17, the second of no bytes.
     let dir = Dir::new(8, slice(0)).with(278, Tag::Long(vec![9]));
-    let start = |bytes: &[u8]| bytes.len() - W * H;
-    let there = tiff(false, &[dir.clone().with(273, Tag::Long(vec![0, 0])).with(279, Tag::Long(vec![1, 1]))], &slice(0));
-    let at = (start(&there)) as u32;
-    let dir = dir.with(273, Tag::Long(vec![at, 0])).with(279, Tag::Long(vec![(9 * W) as u32, 0]));
-    let bytes = tiff(false, &[Dir { strip: Vec::new(), ..dir }], &slice(0));
+    let file = |at: u32| {
+        let dir = dir.clone().with(273, Tag::Long(vec![at, 0])).with(279, Tag::Long(vec![(9 * W) as u32, 0]));
+        tiff(false, &[Dir { strip: Vec::new(), ..dir }], &slice(0))
+    };
+    let bytes = file((file(0).len() - W * H) as u32);
     let input = read("a.tif", &bytes, "--format stack");
     for (x, y) in (0..W).flat_map(|x| (0..H).map(move |y| (x, y))) {
         assert_eq!(input.columns.solid(x as i64, y as i64, 0), y < 9 && value(x, y, 0) > 0, "{x} {y}");
