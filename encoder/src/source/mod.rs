@@ -2,9 +2,11 @@
 //!
 //! | module | reads | world |
 //! |---|---|---|
-//! | `volume` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
+//! | `volume`, `npy`, `nrrd`, `nifti` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
 //! | `heightmap`, `geotiff`, `grids`, `dem` | PNG, JPEG, TIFF, GeoTIFF, ESRI ASCII grids, SRTM, RAW16, USGS DEM | image column is x, row is z |
 //! | `mosaic` | folders of tiles of a map | x is east, z is south |
+//! | `stack`, `tiff_pages` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
+//! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
@@ -43,6 +45,8 @@
 mod binvox;
 mod cells;
 mod dem;
+#[cfg(feature = "dicom")]
+mod dicom;
 mod fill;
 mod geo;
 mod geotiff;
@@ -57,6 +61,9 @@ mod kv6;
 mod lidar;
 mod mesh;
 mod mosaic;
+mod nifti;
+mod npy;
+mod nrrd;
 #[cfg(feature = "mesh")]
 mod obj;
 mod pcd;
@@ -72,6 +79,7 @@ mod stack;
 mod stl;
 #[cfg(feature = "mesh")]
 mod text;
+mod tiff_pages;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod tiff;
@@ -189,8 +197,10 @@ pub enum Format {
     Hgt,
     /// 16-bit heights without a header, square or --dims X,Y
     R16,
-    /// TIFF images as slices of a volume: the pages of a file, or the files of a folder
+    /// Images as slices of a volume: the pages of a TIFF file, or the TIFF, PNG or JPEG files of a folder
     Stack,
+    /// DICOM file of several frames, or a folder of a series
+    Dicom,
     /// Voxlap or Ace of Spades map
     Vxl,
     /// MagicaVoxel model or scene
@@ -222,7 +232,9 @@ pub enum Format {
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
-    (.png, .jpg, .tif, .dem, .asc, .hgt, .r16, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .pcd, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel, Slab6), .kv6, .kvx, .qb (Qubicle), .gox (Goxel), .binvox, procedural:KIND";
+    (.png, .jpg, .tif, .dem, .asc, .hgt, .r16, .npy), stacks (.tif of several pages, folders of .tif, .png or .jpg), mosaics (folders of \
+    .tif, .asc or .hgt), DICOM (.dcm, folders), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .pcd, .ply), \
+    .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel, Slab6), .kv6, .kvx, .qb (Qubicle), .gox (Goxel), .binvox, procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -334,27 +346,62 @@ pub(crate) fn remote_volume(
     Ok(volume.map(|volume| Box::new(volume) as Box<dyn Pieces>))
 }
 
-/// A Zarr array; or a folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by
-/// name.
+/// A Zarr array; a folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by
+/// name; a DICOM series; or PNG or JPEG slices, by name.
 fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if ["zarr.json", ".zarray", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
         return zarr_folder(path, opts);
     }
     let failed = |e| Error::io(path, "read", e);
-    let (mut files, mut grids) = (Vec::new(), Vec::new());
+    let (mut tiffs, mut grids, mut pictures, mut dicoms) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for entry in fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
+        let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if hidden || !file.is_file() {
+            continue;
+        }
         let kind = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        if matches!(kind.as_str(), "tif" | "tiff") {
-            files.push(file);
-        } else if matches!(kind.as_str(), "asc" | "hgt") {
-            grids.push(file);
+        match kind.as_str() {
+            "tif" | "tiff" => tiffs.push(file),
+            "asc" | "hgt" => grids.push(file),
+            "png" | "jpg" | "jpeg" => pictures.push(file),
+            _ if is_dicom(&file) => dicoms.push(file),
+            _ => {}
         }
     }
-    if files.is_empty() {
-        files = grids;
+    [&mut tiffs, &mut grids, &mut pictures, &mut dicoms].into_iter().for_each(|files| by_number(files));
+    let unread = |kinds: &[(&str, usize)]| -> Vec<String> {
+        kinds.iter().filter(|k| k.1 > 0).map(|(kind, n)| format!("{n} {kind} files in the folder")).collect()
+    };
+    let (n_pictures, n_dicoms) = (pictures.len(), dicoms.len());
+    let tiles = if tiffs.is_empty() { &grids } else { &tiffs };
+    if let Some(first) = tiles.first()
+        && opts.format != Some(Format::Stack)
+        && mosaic::is_tile(first)?
+    {
+        return Ok(Box::new(mosaic::mosaic(path, tiles, opts)?));
     }
-    // Numbers in names by their value: slice2 before slice10.
+    let mut volume = if !tiffs.is_empty() {
+        let mut volume = stack::folder(path, &tiffs, opts)?;
+        volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures), ("DICOM", n_dicoms)]));
+        volume
+    } else if !dicoms.is_empty() && opts.format != Some(Format::Stack) {
+        dicom_series(path, &dicoms, opts)?
+    } else if !pictures.is_empty() {
+        stack::pictures(path, &pictures, opts)?
+    } else {
+        let what = "a folder without .tif, .asc, .hgt, .png, .jpg or DICOM files and no Zarr; expected the slices of a volume or \
+            tiles of a map";
+        return Err(Error::format(path, what));
+    };
+    if dicoms.len() == n_dicoms && tiffs.is_empty() && !dicoms.is_empty() {
+        volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures)]));
+    }
+    Ok(Box::new(volume))
+}
+
+/// Sorts by name, numbers in names by their value: slice2 before slice10.
+fn by_number(files: &mut [PathBuf]) {
     files.sort_by_cached_key(|file| {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let parts = name.as_bytes().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit());
@@ -362,16 +409,24 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         let key: Vec<(u64, Vec<u8>)> = parts.map(|part| (number(part).unwrap_or(u64::MAX), part.to_vec())).collect();
         key
     });
-    let Some(first) = files.first() else {
-        return Err(Error::format(
-            path,
-            "a folder without .tif, .asc or .hgt files and no Zarr; expected the slices of a volume or tiles of a map",
-        ));
-    };
-    if opts.format != Some(Format::Stack) && mosaic::is_tile(first)? {
-        return Ok(Box::new(mosaic::mosaic(path, &files, opts)?));
-    }
-    Ok(Box::new(stack::read(path, &files, opts)?))
+}
+
+/// Whether a file says that it is DICOM, and no directory of others.
+fn is_dicom(path: &Path) -> bool {
+    let mut head = [0; 132];
+    let named = path.file_name().is_some_and(|name| name == "DICOMDIR");
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    !named && read.is_ok() && head.ends_with(b"DICM")
+}
+
+#[cfg(feature = "dicom")]
+fn dicom_series(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result<volume::Volume<'static>> {
+    dicom::read(path, files, opts)
+}
+
+#[cfg(not(feature = "dicom"))]
+fn dicom_series(path: &Path, _: &[PathBuf], _: &ReadOptions) -> Result<volume::Volume<'static>> {
+    without(path, "DICOM", "dicom")
 }
 
 #[cfg(feature = "zarr")]
@@ -410,7 +465,19 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         {
             Format::Slab6
         }
-        None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
+        None => match detect(path, &bytes[..bytes.len().min(1 << 16)])? {
+            // Pages without a place on Earth are slices, unless a flag says that they are heights.
+            Format::Heightmap
+                if matches!(bytes.get(..2), Some(b"II" | b"MM"))
+                    && opts.colors.is_none()
+                    && opts.height_scale.is_none()
+                    && opts.rgb.is_none()
+                    && stack::is_stack(path, bytes) =>
+            {
+                Format::Stack
+            }
+            format => format,
+        },
     };
     let mut notes = Vec::new();
     let mut unused = |flag: &str, given: bool, why: &str| {
@@ -418,7 +485,8 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             notes.push(format!("{flag} is not used: {why}"));
         }
     };
-    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack);
+    let is_volume =
+        matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack | Format::Dicom);
     let is_image = format == Format::Heightmap;
     let is_map = is_image || matches!(format, Format::Dem | Format::Npy | Format::Asc | Format::Hgt | Format::R16);
     let is_headless = matches!(format, Format::Raw | Format::R16);
@@ -445,7 +513,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
-        && let Some(heights) = volume::npy_heights(path, bytes, in_file)?
+        && let Some(heights) = npy::npy_heights(path, bytes, in_file)?
     {
         let mut map = heightmap::Map::of(heights);
         map.about.format = "NPY".to_owned();
@@ -454,6 +522,9 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     }
     let mut volume = |volume: Result<volume::Volume<'a>>| {
         let mut volume = volume?;
+        if !volume.about.format.is_empty() {
+            volume.about.left_out.extend(notes.iter().cloned());
+        }
         volume.notes.append(&mut notes);
         Ok(World::Volume(volume))
     };
@@ -464,9 +535,9 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     };
     let model = match format {
         Format::Raw => return volume(volume::raw(path, bytes, opts)),
-        Format::Npy => return volume(volume::npy(path, bytes, opts)),
-        Format::Nrrd => return volume(volume::nrrd(path, bytes, opts)),
-        Format::Nifti => return volume(volume::nifti(path, bytes, opts)),
+        Format::Npy => return volume(npy::npy(path, bytes, opts)),
+        Format::Nrrd => return volume(nrrd::read(path, bytes, opts)),
+        Format::Nifti => return volume(nifti::read(path, bytes, opts)),
         Format::Heightmap => {
             let mut map = heightmap::read(path, bytes, in_file, opts)?;
             map.notes.append(&mut notes);
@@ -482,7 +553,11 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             map.notes.append(&mut notes);
             return boxed(heightmap::rows(path, map, bytes.len() as u64, opts));
         }
-        Format::Stack => return volume(stack::read(path, &[path.to_owned()], opts)),
+        Format::Stack => return volume(stack::read(path, bytes, in_file, opts)),
+        #[cfg(feature = "dicom")]
+        Format::Dicom => return volume(dicom::read(path, &[path.to_owned()], opts)),
+        #[cfg(not(feature = "dicom"))]
+        Format::Dicom => return without(path, "DICOM", "dicom"),
         Format::Vxl => vxl::read(path, bytes),
         Format::Vox => vox::read(path, bytes),
         Format::Kv6 => kv6::kv6(path, bytes),
@@ -552,6 +627,7 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
         "hgt" => Ok(Format::Hgt),
         "gz" if name.ends_with(".hgt.gz") => Ok(Format::Hgt),
         "r16" => Ok(Format::R16),
+        "npz" => fail("an archive of arrays; save one of them: numpy.save(\"a.npy\", numpy.load(\"a.npz\")[\"name\"])"),
         "stl" => Ok(Format::Stl),
         "obj" => Ok(Format::Obj),
         "gltf" => Ok(Format::Gltf),
@@ -606,13 +682,16 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     let mut inflated = Vec::new();
     let head = if head.starts_with(b"\x1f\x8b") {
         // Too short or broken a stream simply does not look like NIfTI.
-        let _ = flate2::read::MultiGzDecoder::new(head).take(volume::NIFTI_HEADER).read_to_end(&mut inflated);
+        let _ = flate2::read::MultiGzDecoder::new(head).take(nifti::HEADER).read_to_end(&mut inflated);
         &inflated
     } else {
         head
     };
     if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
         return Some(Format::Ply);
+    }
+    if head.get(128..132) == Some(b"DICM") {
+        return Some(Format::Dicom);
     }
     matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)
 }

@@ -1,4 +1,4 @@
-//! Dense volumes: raw, NPY, NRRD, NIfTI.
+//! Dense volumes: raw ones, and those whose values others found.
 //!
 //! Each reader only finds out where the values are and what they are ([`Stored`]); a [`Volume`] makes columns of them,
 //! a piece at a time. Its values stay in their file, and are read in stretches as long as the order of the axes allows:
@@ -16,32 +16,50 @@ use std::path::{Path, PathBuf};
 use flate2::read::MultiGzDecoder;
 use rayon::prelude::*;
 
-use super::heights::Heights;
-use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
+use super::{Dtype, ReadOptions, Up, world_dims};
 use crate::pieces::Pieces;
 use crate::scratch::{self, File, read_at};
 use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
 
-/// Bytes of a NIfTI-1 header.
-pub(super) const NIFTI_HEADER: u64 = 348;
-
 /// A dense volume as a file holds it.
-struct Stored<'a> {
+pub(super) struct Stored<'a> {
     /// Values an axis (x, y, z of the input).
-    dims: [u64; 3],
+    pub dims: [u64; 3],
     /// Whether z is fastest in the file, not x.
-    z_fastest: bool,
-    dtype: Dtype,
-    big_endian: bool,
+    pub z_fastest: bool,
+    pub dtype: Dtype,
+    pub big_endian: bool,
     /// What a stored value means: `value · slope + inter`.
-    scale: Option<(f64, f64)>,
+    pub scale: Option<(f64, f64)>,
+    /// The stored value that stands for none: air.
+    pub missing: Option<f64>,
     /// Exactly the values.
-    data: Data<'a>,
-    notes: Vec<String>,
+    pub data: Data<'a>,
+    pub notes: Vec<String>,
+    /// As far as the reader knows it, of the input's x, y and z: [`Volume::new`] says what it made of it. `rule` is what the
+    /// values mean, `axes` which axes of the source they are.
+    pub about: About,
+}
+
+impl<'a> Stored<'a> {
+    /// Values that mean what they are, x fastest, in little-endian order.
+    pub fn new(dims: [u64; 3], dtype: Dtype, data: Data<'a>) -> Stored<'a> {
+        Stored {
+            dims,
+            z_fastest: false,
+            dtype,
+            big_endian: false,
+            scale: None,
+            missing: None,
+            data,
+            notes: Vec::new(),
+            about: About::default(),
+        }
+    }
 }
 
 /// Where values are.
-enum Data<'a> {
+pub(super) enum Data<'a> {
     Slice(&'a [u8]),
     /// From byte `at` on, `len` bytes.
     File {
@@ -60,7 +78,7 @@ enum Data<'a> {
 }
 
 impl Data<'_> {
-    fn len(&self) -> u64 {
+    pub fn len(&self) -> u64 {
         match self {
             Data::Slice(bytes) => bytes.len() as u64,
             Data::File { len, .. } => *len,
@@ -79,7 +97,7 @@ impl Data<'_> {
     }
 
     /// The `len` bytes from `at` on, in `buffer` unless they are in memory already.
-    fn read<'b>(&'b self, at: u64, len: usize, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
+    pub fn read<'b>(&'b self, at: u64, len: usize, buffer: &'b mut Vec<u8>) -> Result<&'b [u8]> {
         match self {
             Data::Slice(bytes) => Ok(&bytes[at as usize..at as usize + len]),
             Data::File { path, file, at: start, .. } => {
@@ -96,7 +114,7 @@ impl Data<'_> {
     }
 
     /// The same values, still in the file at `path` where they are a part of its bytes `whole`.
-    fn in_file(self, path: &Path, whole: &[u8]) -> Result<Data<'static>> {
+    pub fn in_file(self, path: &Path, whole: &[u8]) -> Result<Data<'static>> {
         match self {
             Data::Slice(bytes) => {
                 let at = (bytes.as_ptr() as usize - whole.as_ptr() as usize) as u64;
@@ -132,8 +150,10 @@ macro_rules! with_sample {
     };
 }
 
+pub(super) use with_sample;
+
 /// Bytes of a volume's values.
-fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
+pub(super) fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64> {
     let voxels = dims.iter().try_fold(1u64, |n, &d| n.checked_mul(d));
     voxels.and_then(|n| n.checked_mul(dtype.size())).ok_or_else(|| {
         let [x, y, z] = dims;
@@ -147,7 +167,7 @@ pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resul
 }
 
 /// A volume of which `bytes` are no more than the head right, and whose values are in `object`; None where it is a height
-/// map.
+/// map, or values are to be unpacked.
 #[cfg(feature = "object-store")]
 pub(super) fn in_object(
     path: &Path,
@@ -158,21 +178,21 @@ pub(super) fn in_object(
 ) -> Result<Option<Volume<'static>>> {
     let stored = match format {
         super::Format::Raw => raw_array(path, bytes, opts)?,
-        _ => match npy_array(path, bytes)? {
-            (3, stored) => stored,
-            _ => return Ok(None),
+        _ => match super::npy::plain_volume(path, bytes)? {
+            Some(stored) => stored,
+            None => return Ok(None),
         },
     };
-    let Stored { dims, z_fastest, dtype, big_endian, scale, data, notes } = stored;
+    let dtype = stored.dtype;
     if opts.iso.is_none() && dtype != Dtype::U8 {
         // Looking for the range would read it all.
         let what = "values of this type need --iso V, voxels of at least V are solid";
         return Err(Error::Argument(format!("{}: {what}", path.display())));
     }
-    let Data::Slice(values) = data else { unreachable!("nothing of it was unpacked") };
+    let Data::Slice(values) = stored.data else { unreachable!("nothing of it was unpacked") };
     let at = (values.as_ptr() as usize - bytes.as_ptr() as usize) as u64;
     let data = Data::Object { object: Box::new(object), at, len: values.len() as u64 };
-    Volume::new(path, Stored { dims, z_fastest, dtype, big_endian, scale, data, notes }, opts).map(Some)
+    Volume::new(path, Stored { data, ..stored }, opts).map(Some)
 }
 
 fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Stored<'a>> {
@@ -193,359 +213,11 @@ fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Sto
         ));
     }
     let data = Data::Slice(bytes);
-    Ok(Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes: Vec::new() })
-}
-
-/// NumPy: an array of shape (z, y, x).
-pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    Volume::new(path, npy_array(path, bytes)?.1, opts)
-}
-
-/// A NumPy array of two axes as heights, shape (row, column); None where it has three.
-pub(super) fn npy_heights(path: &Path, bytes: &[u8], in_file: bool) -> Result<Option<Heights>> {
-    let (2, stored) = npy_array(path, bytes)? else { return Ok(None) };
-    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = stored;
-    // Columns of an array that is stored by columns are gathered from all over it.
-    let data = if in_file && !z_fastest { data.in_file(path, bytes)? } else { data };
-    world_dims(path, [width, 1, height], "")?;
-    let mut out = Heights::new(width as u32, height as u32)?;
-    let n = width as usize;
-    with_sample!(dtype, big_endian, |read| {
-        let size = dtype.size() as usize;
-        let mut buffer = Vec::new();
-        // Some rows at a time, so that a large map is not in memory twice.
-        for z in (0..height as usize).step_by(64) {
-            let end = (z + 64).min(height as usize);
-            let from = if z_fastest { 0 } else { z };
-            let len = if z_fastest { data.len() as usize } else { (end - z) * n * size };
-            let bytes = data.read((from * n * size) as u64, len, &mut buffer)?;
-            let value = |x: usize, z: usize| {
-                let at = size * if z_fastest { x * height as usize + z } else { (z - from) * n + x };
-                read(bytes[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
-            };
-            let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
-            out.put(0, z as u32, width as u32, &rows)?;
-        }
-    });
-    Ok(Some(out))
-}
-
-/// Number of axes, and the values, with one z where there are two.
-fn npy_array<'a>(path: &Path, bytes: &'a [u8]) -> Result<(usize, Stored<'a>)> {
-    let fail = |at: usize, what: &str| Err(Error::format(path, format!("byte {at}: {what}")));
-    if !bytes.starts_with(b"\x93NUMPY") {
-        return fail(0, "expected the NPY signature \\x93NUMPY");
-    }
-    let (text_at, text_len) = match (bytes.get(6), bytes.get(8..12)) {
-        (Some(1), Some(n)) => (10, u16::from_le_bytes([n[0], n[1]]) as usize),
-        (Some(2 | 3), Some(n)) => (12, u32::from_le_bytes([n[0], n[1], n[2], n[3]]) as usize),
-        (Some(_), Some(_)) => return fail(6, "NPY version is not 1, 2 or 3"),
-        _ => return fail(bytes.len(), "the file ends inside the NPY header"),
-    };
-    let data_at = text_at + text_len;
-    let Some(Ok(text)) = bytes.get(text_at..data_at).map(std::str::from_utf8) else {
-        return fail(text_at, &format!("expected {text_len} bytes of header text"));
-    };
-    let field = |name: &str| {
-        let at = text.find(&format!("'{name}'"))? + name.len() + 2;
-        Some(text[at..].trim_start().strip_prefix(':')?.trim_start())
-    };
-    let (Some(descr), Some(order), Some(shape)) = (
-        field("descr").and_then(|s| s.strip_prefix('\'')?.split('\'').next()),
-        field("fortran_order"),
-        field("shape").and_then(|s| s.strip_prefix('(')?.split(')').next()),
-    ) else {
-        return fail(text_at, "expected a dictionary of 'descr', 'fortran_order' and 'shape'");
-    };
-    let dtype = match descr.trim_start_matches(['<', '>', '|', '=']) {
-        "u1" | "b1" => Dtype::U8,
-        "i1" => Dtype::I8,
-        "u2" => Dtype::U16,
-        "i2" => Dtype::I16,
-        "u4" => Dtype::U32,
-        "i4" => Dtype::I32,
-        "u8" => Dtype::U64,
-        "i8" => Dtype::I64,
-        "f4" => Dtype::F32,
-        "f8" => Dtype::F64,
-        _ => return fail(text_at, &format!("values of type {descr:?}; expected integers, f4 or f8")),
-    };
-    let shape: Result<Vec<u64>, _> =
-        shape.split(',').map(str::trim).filter(|s| !s.is_empty()).map(str::parse).collect();
-    let (rank, [z, y, x]) = match shape.as_deref() {
-        Ok(&[y, x]) => (2, [1, y, x]),
-        Ok(&[z, y, x]) => (3, [z, y, x]),
-        _ => return fail(text_at, "expected an array of three axes, shape (z, y, x), or two, a height map"),
-    };
-    let dims = [x, y, z];
-    let expected = byte_len(path, dims, dtype)?;
-    let data = &bytes[data_at..];
-    if data.len() as u64 != expected {
-        return fail(data_at, &format!("{} bytes of values, shape ({z}, {y}, {x}) expects {expected}", data.len()));
-    }
-    let z_fastest = if order.starts_with("True") {
-        true
-    } else if order.starts_with("False") {
-        false
-    } else {
-        return fail(text_at, "fortran_order is neither True nor False");
-    };
-    let (big_endian, data) = (descr.starts_with('>'), Data::Slice(data));
-    Ok((rank, Stored { dims, z_fastest, dtype, big_endian, scale: None, data, notes: Vec::new() }))
-}
-
-/// NRRD: text header, values raw or gzip, in the same file or a detached one.
-pub(super) fn nrrd<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    let fail = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
-    if !bytes.starts_with(b"NRRD000") {
-        return fail(0, "expected the NRRD signature NRRD000".to_owned());
-    }
-    let mut header = NrrdHeader::default();
-    let mut at = 0;
-    // The header ends with an empty line; a detached one may end with its file.
-    let header_end = loop {
-        let Some(len) = bytes[at..].iter().position(|&b| b == b'\n') else {
-            if bytes.len() - at > 0 && header.data_file.is_none() {
-                return fail(at, "the file ends inside the NRRD header".to_owned());
-            }
-            break bytes.len();
-        };
-        let line = String::from_utf8_lossy(&bytes[at..at + len]);
-        let line = line.trim_end();
-        if line.is_empty() {
-            break at + len + 1;
-        }
-        if at > 0
-            && let Err(what) = header.field(line)
-        {
-            return fail(at, what);
-        }
-        at += len + 1;
-    };
-    let missing = |what| Error::format(path, format!("byte {header_end}: the NRRD header ends without \"{what}\""));
-    let dtype = header.dtype.ok_or_else(|| missing("type"))?;
-    let encoding = header.encoding.clone().ok_or_else(|| missing("encoding"))?;
-    let mut sizes = header.sizes.clone().ok_or_else(|| missing("sizes"))?;
-    if header.dimension.is_some_and(|d| d != sizes.len()) {
-        return fail(0, format!("dimension is {} but there are {} sizes", header.dimension.unwrap_or(0), sizes.len()));
-    }
-    if sizes.len() > 3 {
-        sizes.retain(|&n| n != 1);
-    }
-    let &[x, y, z] = sizes.as_slice() else {
-        return fail(
-            0,
-            format!("sizes {:?}: expected three axes, one value a voxel", header.sizes.unwrap_or_default()),
-        );
-    };
-    let dims = [x, y, z];
-    let expected = byte_len(path, dims, dtype)?;
-    if dtype.size() > 1 && header.big_endian.is_none() {
-        return Err(missing("endian"));
-    }
-
-    let detached = header.data_file.as_ref().map(|name| path.parent().unwrap_or(Path::new("")).join(name));
-    let detached = detached.map(|path| Ok((map(&path)?, path))).transpose()?;
-    let (data_path, mut data) = match &detached {
-        Some((bytes, path)) => (path.clone(), &**bytes),
-        None => (path.to_owned(), &bytes[header_end..]),
-    };
-    for _ in 0..header.line_skip {
-        let Some(len) = data.iter().position(|&b| b == b'\n') else {
-            return Err(Error::format(data_path, format!("fewer lines than \"line skip: {}\"", header.line_skip)));
-        };
-        data = &data[len + 1..];
-    }
-    let short = |got: usize| {
-        Error::format(&data_path, format!("{got} bytes of values; {x} × {y} × {z} of this type expect {expected}"))
-    };
-    let values = match encoding.as_str() {
-        "raw" => {
-            let skip = match header.byte_skip {
-                -1 => (data.len() as u64).checked_sub(expected).ok_or_else(|| short(data.len()))?,
-                n => n as u64,
-            };
-            let end =
-                skip.checked_add(expected).filter(|&e| e <= data.len() as u64).ok_or_else(|| short(data.len()))?;
-            let values = &data[skip as usize..end as usize];
-            match &detached {
-                Some((whole, path)) => Data::Slice(values).in_file(path, whole)?,
-                // The same bytes, as a part of `bytes`, which live longer.
-                None => Data::Slice(&bytes[bytes.len() - data.len()..][skip as usize..end as usize]),
-            }
-        }
-        "gzip" | "gz" => {
-            let skip = header.byte_skip.max(0) as u64;
-            let end = skip.checked_add(expected).ok_or_else(|| short(0))?;
-            gunzip(&data_path, data, skip, end)?.map_err(|got| short(got as usize))?
-        }
-        other => {
-            return fail(0, format!("encoding {other:?} is not supported; save it as raw or gzip (unu save -e gzip)"));
-        }
-    };
-    let mut notes = header.notes;
-    notes.push(
-        "NRRD axes are kept as stored: the first is x, the second y, the third z (--up z to stand on the third)"
-            .to_owned(),
-    );
-    let big_endian = header.big_endian == Some(true);
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data: values, notes };
-    Volume::new(path, stored, opts)
-}
-
-#[derive(Default)]
-struct NrrdHeader {
-    dtype: Option<Dtype>,
-    dimension: Option<usize>,
-    sizes: Option<Vec<u64>>,
-    encoding: Option<String>,
-    big_endian: Option<bool>,
-    data_file: Option<String>,
-    line_skip: u64,
-    byte_skip: i64,
-    notes: Vec<String>,
-}
-
-impl NrrdHeader {
-    /// Takes in one line after the signature.
-    fn field(&mut self, line: &str) -> Result<(), String> {
-        if line.starts_with('#') || line.contains(":=") {
-            return Ok(());
-        }
-        let (name, value) = line.split_once(':').ok_or_else(|| format!("expected \"field: value\", found {line:?}"))?;
-        let value = value.trim();
-        let bad = || format!("\"{}\" has the value {value:?}", name.trim());
-        match name.trim().to_lowercase().as_str() {
-            "type" => {
-                self.dtype = Some(match value {
-                    "uchar" | "unsigned char" | "uint8" | "uint8_t" => Dtype::U8,
-                    "signed char" | "int8" | "int8_t" => Dtype::I8,
-                    "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Dtype::U16,
-                    "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Dtype::I16,
-                    "uint" | "unsigned int" | "uint32" | "uint32_t" => Dtype::U32,
-                    "int" | "signed int" | "int32" | "int32_t" => Dtype::I32,
-                    "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Dtype::U64,
-                    "longlong"
-                    | "long long"
-                    | "long long int"
-                    | "signed long long"
-                    | "signed long long int"
-                    | "int64"
-                    | "int64_t" => Dtype::I64,
-                    "float" => Dtype::F32,
-                    "double" => Dtype::F64,
-                    _ => return Err(format!("{}; expected an integer type, float or double", bad())),
-                });
-            }
-            "dimension" => self.dimension = Some(value.parse().map_err(|_| bad())?),
-            "sizes" => {
-                let sizes: Result<Vec<u64>, _> = value.split_whitespace().map(str::parse).collect();
-                self.sizes = Some(sizes.map_err(|_| bad())?);
-            }
-            "encoding" => self.encoding = Some(value.to_lowercase()),
-            "endian" => {
-                self.big_endian = Some(match value {
-                    "little" => false,
-                    "big" => true,
-                    _ => return Err(bad()),
-                });
-            }
-            "data file" | "datafile" => {
-                if value.starts_with("LIST") || value.contains('%') {
-                    return Err(format!("{}; values spread over several files are not supported", bad()));
-                }
-                self.data_file = Some(value.to_owned());
-            }
-            "line skip" | "lineskip" => self.line_skip = value.parse().map_err(|_| bad())?,
-            "byte skip" | "byteskip" => {
-                self.byte_skip = value.parse().ok().filter(|&n| n >= -1).ok_or_else(bad)?;
-            }
-            "spacings" | "space directions" => {
-                self.notes.push(format!("{}: {value}; voxels are drawn as cubes", name.trim()))
-            }
-            // Further fields say nothing about where the values are.
-            _ => {}
-        }
-        Ok(())
-    }
-}
-
-/// NIfTI-1, plain or gzip; of a series the first volume.
-pub(super) fn nifti<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    let fail = |what: String| Err(Error::format(path, what));
-    let gz = bytes.starts_with(b"\x1f\x8b");
-    let head = if gz { gunzip_prefix(path, bytes, NIFTI_HEADER)? } else { bytes[..bytes.len().min(348)].to_vec() };
-    let header = guarded(path, "NIfTI", || {
-        nifti::NiftiHeader::from_reader(&*head).map_err(|e| Error::format(path, format!("NIfTI header: {e}")))
-    })?;
-    // "ni1": the values are in a file beside the header's.
-    let pair = (&header.magic != nifti::header::MAGIC_CODE_NIP1).then(|| path.with_extension("img"));
-    let rank = header.dim[0] as usize;
-    if !(1..=7).contains(&rank) {
-        return fail(format!("byte 40: {rank} axes; expected 1 to 7"));
-    }
-    let axis = |i: usize| if i <= rank { u64::from(header.dim[i]) } else { 1 };
-    let dims = [axis(1), axis(2), axis(3)];
-    if (1..=rank).any(|i| header.dim[i] == 0 || header.dim[i] > i16::MAX as u16) {
-        return fail(format!("byte 42: axis sizes {:?}; expected 1 to 32767 each", &header.dim[1..=rank]));
-    }
-    let dtype = match header.datatype {
-        2 => Dtype::U8,
-        256 => Dtype::I8,
-        512 => Dtype::U16,
-        4 => Dtype::I16,
-        768 => Dtype::U32,
-        8 => Dtype::I32,
-        1280 => Dtype::U64,
-        1024 => Dtype::I64,
-        16 => Dtype::F32,
-        64 => Dtype::F64,
-        other => return fail(format!("byte 70: values of NIfTI type {other}; expected integers, f32 or f64")),
-    };
-    let beside = pair.is_some() && header.vox_offset == 0.0;
-    if !beside && !(NIFTI_HEADER as f32..1e9).contains(&header.vox_offset) {
-        return fail(format!("byte 108: values start at byte {}; expected 352 or later", header.vox_offset));
-    }
-    let start = header.vox_offset as u64;
-    let expected = byte_len(path, dims, dtype)?;
-    let end = start + expected;
-    let short = |got: u64| {
-        let [x, y, z] = dims;
-        Error::format(path, format!("{got} bytes; {x} × {y} × {z} values from byte {start} on expect {end}"))
-    };
-    let data = if let Some(pair) = &pair {
-        let whole = map(pair)?;
-        let values = whole.get(start as usize..).and_then(|v| v.get(..expected as usize));
-        Data::Slice(values.ok_or_else(|| short(whole.len() as u64))?).in_file(pair, &whole)?
-    } else if gz {
-        gunzip(path, bytes, start, end)?.map_err(short)?
-    } else {
-        let values = bytes.get(start as usize..).and_then(|v| v.get(..expected as usize));
-        Data::Slice(values.ok_or_else(|| short(bytes.len() as u64))?)
-    };
-    let mut notes = Vec::new();
-    let volumes = (4..=rank).map(axis).fold(1u64, u64::saturating_mul);
-    if volumes > 1 {
-        notes.push(format!("the file holds {volumes} volumes; the first is read"));
-    }
-    let scale = (header.scl_slope != 0.0 && header.scl_slope.is_finite() && header.scl_inter.is_finite())
-        .then_some((f64::from(header.scl_slope), f64::from(header.scl_inter)))
-        .filter(|&s| s != (1.0, 0.0));
-    if let Some((slope, inter)) = scale {
-        notes.push(format!("values are stored · {slope} + {inter}"));
-    }
-    let [_, px, py, pz, ..] = header.pixdim;
-    if px != py || py != pz {
-        notes.push(format!("voxels of {px} × {py} × {pz} are drawn as cubes"));
-    }
-    notes.push("NIfTI axes are kept as stored (--up z to stand on the third, usually towards the head)".to_owned());
-    let big_endian = header.endianness == nifti::Endianness::Big;
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes };
-    Volume::new(path, stored, opts)
+    Ok(Stored::new(dims, dtype, data))
 }
 
 /// The first `len` bytes of a gzip stream.
-fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
+pub(super) fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
     // Memory grows with what the stream really holds, not with what a header claims.
     let mut out = Vec::new();
     MultiGzDecoder::new(bytes)
@@ -557,7 +229,7 @@ fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u8>> {
 
 /// Bytes `start..end` of a gzip stream, unpacked into a file without a name; an inner error is the number of bytes that
 /// there are, too few. The stream's end and checksum are looked at where it holds no more than these.
-fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
+pub(super) fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
     let mut file = scratch::file().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
     let mut stream = MultiGzDecoder::new(bytes).take(end.saturating_add(1));
     let mut buffer = vec![0; 1 << 20];
@@ -580,7 +252,7 @@ fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data
 }
 
 /// A stored value, as far as comparing goes.
-trait Sample: Copy + PartialOrd {
+pub(super) trait Sample: Copy + PartialOrd {
     fn to_f64(self) -> f64;
 
     /// The least and the greatest value that mean at least `iso`, where those between do, too; an inner None where no
@@ -656,7 +328,7 @@ pub(super) struct Volume<'a> {
 
 impl<'a> Volume<'a> {
     /// Which axis is up, and where a value is solid, from the options.
-    fn new(path: &Path, stored: Stored<'a>, opts: &ReadOptions) -> Result<Volume<'a>> {
+    pub(super) fn new(path: &Path, stored: Stored<'a>, opts: &ReadOptions) -> Result<Volume<'a>> {
         // World x, y, z as axes of the input.
         let (axes, flip_z) = match opts.up.unwrap_or_default() {
             Up::X => ([2, 0, 1], false),
@@ -665,10 +337,16 @@ impl<'a> Volume<'a> {
         };
         let dims = world_dims(path, axes.map(|a| stored.dims[a]), "--up chooses another axis")?;
         let Stored { dtype, big_endian, scale, .. } = stored;
+        let mut stored = stored;
+        // In the precision of the values, as in text it has more digits or fewer.
+        let missing = stored.missing.map(|v| if dtype == Dtype::F32 { f64::from(v as f32) } else { v });
+        stored.missing = missing;
         let masks = match opts.iso {
             Some(iso) if iso.is_nan() => return Err(Error::Argument("--iso is not a number".to_owned())),
-            Some(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale)),
-            None if dtype == Dtype::U8 => masks(u8::from_le_bytes, |v| v > 0),
+            Some(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
+            None if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => masks(u8::from_le_bytes, |v| v > 0),
+            // The least number above 0.
+            None if dtype == Dtype::U8 => iso_masks(u8::from_le_bytes, f64::from_bits(1), scale, missing),
             None => {
                 let (low, high) = with_sample!(dtype, big_endian, |read| range(&stored, read))?;
                 return Err(Error::Argument(format!(
@@ -677,22 +355,10 @@ impl<'a> Volume<'a> {
                 )));
             }
         };
+        let about = about_volume(&stored, axes, opts);
         let Stored { dims: [x, y, z], z_fastest, data, notes, .. } = stored;
         let (stored, axes) = if z_fastest { ([z, y, x], axes.map(|a| 2 - a)) } else { ([x, y, z], axes) };
-        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about: About::default() })
-    }
-
-    /// Of values that were unpacked into a file, in this machine's byte order.
-    pub(super) fn unpacked(
-        path: &Path,
-        file: File,
-        dims: [u64; 3],
-        dtype: Dtype,
-        opts: &ReadOptions,
-    ) -> Result<Volume<'static>> {
-        let data = Data::File { path: path.to_owned(), file, at: 0, len: byte_len(path, dims, dtype)? };
-        let notes = Vec::new();
-        Volume::new(path, Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes }, opts)
+        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about })
     }
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
@@ -910,12 +576,39 @@ fn iso_masks<T: Sample + Send + Sync + 'static, const N: usize>(
     read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
     iso: f64,
     scale: Option<(f64, f64)>,
+    missing: Option<f64>,
 ) -> Masks {
-    match T::solid_between(iso, scale) {
-        Some(Some((low, high))) => masks(read, move |v| low <= v && v <= high),
-        Some(None) => masks(read, |_| false),
-        None => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+    match (T::solid_between(iso, scale), missing) {
+        (Some(Some((low, high))), None) => masks(read, move |v| low <= v && v <= high),
+        (Some(Some((low, high))), Some(none)) => masks(read, move |v| low <= v && v <= high && v.to_f64() != none),
+        (Some(None), _) => masks(read, |_| false),
+        (None, None) => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+        (None, Some(none)) => masks(read, move |v| meaning(v.to_f64(), scale) >= iso && v.to_f64() != none),
     }
+}
+
+/// What a volume is, with its axes turned to the world's, and why voxels are solid.
+fn about_volume(stored: &Stored, axes: [usize; 3], opts: &ReadOptions) -> About {
+    let mut about = stored.about.clone();
+    if about.format.is_empty() {
+        return about;
+    }
+    about.voxel = about.voxel.map(|v| axes.map(|a| v[a]));
+    if let Some([x, y, z]) = about.voxel.filter(|v| v[0] != v[1] || v[1] != v[2]) {
+        let unit = if about.unit.is_empty() { "units" } else { &about.unit };
+        about.left_out.push(format!("voxels of {x} × {y} × {z} {unit} are drawn as cubes"));
+    }
+    let up = ["x", "y", "z"][axes[1]];
+    about.axes = match about.axes.as_str() {
+        "" => format!("axis {up} is up"),
+        of => format!("{of}, {up} is up"),
+    };
+    let solid = match opts.iso {
+        Some(iso) => format!("solid where at least {iso}"),
+        None => "solid above 0".to_owned(),
+    };
+    about.rule = if about.rule.is_empty() { solid } else { format!("{}; {solid}", about.rule) };
+    about
 }
 
 /// Least and greatest value (NaN left out).
@@ -924,6 +617,7 @@ fn range<T: Sample, const N: usize>(stored: &Stored, read: impl Fn([u8; N]) -> T
     let piece = (N as u64) << 16;
     let len = stored.data.len();
     let (slope, inter) = stored.scale.unwrap_or((1.0, 0.0));
+    let missing = stored.missing.unwrap_or(f64::NAN);
     let (a, b) = (0..len.div_ceil(piece))
         .into_par_iter()
         .map(|i| {
@@ -932,7 +626,7 @@ fn range<T: Sample, const N: usize>(stored: &Stored, read: impl Fn([u8; N]) -> T
             let (values, _) = bytes.as_chunks::<N>();
             Ok(values.iter().fold(NONE, |(low, high), &v| {
                 let v = read(v).to_f64();
-                (low.min(v), high.max(v))
+                if v == missing { (low, high) } else { (low.min(v), high.max(v)) }
             }))
         })
         .try_reduce(|| NONE, |a, b| Ok((a.0.min(b.0), a.1.max(b.1))))?;
