@@ -324,7 +324,7 @@ impl App {
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
         // A view that is not remembered is no reason to stay.
         if let Err(e) = last::remember(&file, &world.content_hash, &self.control.pose, now) {
-            eprintln!("note: the view is not remembered: {e}");
+            planecast_encoder::note!("note: the view is not remembered: {e}");
         }
     }
 
