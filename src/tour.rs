@@ -300,7 +300,7 @@ impl Ground {
 }
 
 /// The pose at `eye` that looks at `target`.
-fn look(eye: DVec3, target: DVec3, fov: f64) -> Pose {
+pub fn look(eye: DVec3, target: DVec3, fov: f64) -> Pose {
     let d = target - eye;
     let yaw = d.x.atan2(-d.z).to_degrees();
     let pitch = d.y.atan2(d.x.hypot(d.z)).to_degrees();

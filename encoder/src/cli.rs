@@ -358,8 +358,12 @@ pub struct Made(String);
 impl Made {
     /// `name` is what was typed, `file` where it lies.
     pub fn new(name: Option<&Path>, file: &Path) -> Made {
-        let size = std::fs::metadata(file).map_or(0, |m| m.len());
-        Made(format!("{}: {}", name.unwrap_or(file).display(), memory::display(size)))
+        let name = name.unwrap_or(file).display();
+        match std::fs::metadata(file) {
+            Ok(m) if m.is_file() => Made(format!("{name}: {}", memory::display(m.len()))),
+            // A folder of frames.
+            _ => Made(format!("{name}: made")),
+        }
     }
 }
 
