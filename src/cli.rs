@@ -9,11 +9,13 @@ use std::path::{Path as FilePath, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
+use planecast_encoder::cli::{InputArgs, Made};
 use planecast_encoder::write::{keep_input, resolved};
-use planecast_encoder::{Error as FileError, PcastFile, Scene, guard, info};
+use planecast_encoder::{Error as FileError, Scene, guard, info, note, say};
 use serde_json::json;
 
 #[cfg(feature = "report")]
@@ -21,10 +23,12 @@ use crate::bench::{
     self,
     parts::{Extent, Part},
 };
+use crate::aim::{AimArgs, Typed};
 use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::options::SAMPLES_LIMIT;
-use crate::path::{Path, Pose};
+use crate::output::Picture;
+use crate::path::Path;
 use crate::preset::Preset;
 #[cfg(feature = "report")]
 use crate::report;
@@ -32,20 +36,23 @@ use crate::report;
 use crate::stability;
 use crate::tour::{self, View};
 use crate::{
-    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, output,
-    pick, renderer, view,
+    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, help,
+    output, pick, renderer, view,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
 #[derive(Debug, Parser)]
 #[command(name = "planecast", version)]
 pub struct Cli {
+    /// Say nothing but what is wrong
+    #[arg(short, long, global = true)]
+    pub quiet: bool,
     #[command(subcommand)]
     pub command: Command,
 }
 
 /// Which cargo features this program was built with, and without.
-fn features_built() -> String {
+pub(crate) fn features_built() -> String {
     let all = [
         ("gpu", cfg!(feature = "gpu")),
         ("av1", cfg!(feature = "av1")),
@@ -78,15 +85,17 @@ pub enum Command {
     Bench(BenchArgs),
     #[cfg(feature = "report")]
     Report(ReportArgs),
+    Completions(help::CompletionsArgs),
+    Man(help::ManArgs),
 }
 
 /// Draw one picture of a scene
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
     scene: PathBuf,
-    /// Picture to write (.png)
-    #[arg(short, long, value_name = "OUT.png")]
+    /// Picture to write (.png, .jpg), or - for PNG on standard output
+    #[arg(short, long, value_name = "OUT.png|-")]
     output: PathBuf,
     /// Where the camera is, voxels [default: a good view, found from the scene]
     #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
@@ -114,6 +123,10 @@ pub struct RenderArgs {
     /// Also write what the frame cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
+    #[command(flatten)]
+    aim: AimArgs,
+    #[command(flatten)]
+    input: InputArgs,
 }
 
 /// Make a film of a scene, or a folder of its frames
@@ -125,7 +138,7 @@ pub struct RenderArgs {
 /// the camera follows a natural cubic spline.
 #[derive(Debug, Args)]
 pub struct FlyArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
     scene: PathBuf,
     /// Film to write (.mp4, AV1), or a folder for PNG frames
     #[arg(short, long, value_name = "OUT.mp4|OUTDIR")]
@@ -156,6 +169,10 @@ pub struct FlyArgs {
     /// Also write what the last frame drawn cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
+    #[command(flatten)]
+    aim: AimArgs,
+    #[command(flatten)]
+    input: InputArgs,
 }
 
 /// Open a window to fly in
@@ -194,14 +211,16 @@ pub struct ViewArgs {
     script: Option<PathBuf>,
     #[command(flatten)]
     draw: DrawArgs,
-    #[command(flatten, next_help_heading = "Reading an input")]
-    read: planecast_encoder::source::ReadOptions,
+    #[command(flatten)]
+    aim: AimArgs,
+    #[command(flatten)]
+    input_options: InputArgs,
 }
 
 /// Find the first solid voxel along a ray
 #[derive(Debug, Args)]
 pub struct PickArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
     scene: PathBuf,
     /// Where the ray starts, voxels
     #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
@@ -209,6 +228,8 @@ pub struct PickArgs {
     /// Where it points; any length but 0
     #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
     dir: DVec3,
+    #[command(flatten)]
+    input: InputArgs,
 }
 
 /// Encode the terrain that comes with planecast, draw a picture of it and fly through it
@@ -250,7 +271,7 @@ pub struct BenchArgs {
 #[cfg(feature = "report")]
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
     #[arg(required_unless_present = "stability", conflicts_with = "stability")]
     scene: Option<PathBuf>,
     /// Instead of a scene, draw the catalogue of stiff and extreme cases: stability.json, .csv, .md and plots
@@ -292,6 +313,8 @@ pub struct ReportArgs {
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    #[command(flatten)]
+    input: InputArgs,
 }
 
 /// How to draw, for pictures and films alike.
@@ -421,16 +444,16 @@ enum ShadingArg {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Lod(Option<f64>);
 
-fn finite(s: &str) -> Result<f64, String> {
+pub(crate) fn finite(s: &str) -> Result<f64, String> {
     let v: f64 = s.trim().parse().map_err(|_| "expected a number".to_owned())?;
     if v.is_finite() { Ok(v) } else { Err("expected a finite number".into()) }
 }
 
-fn positive(s: &str) -> Result<f64, String> {
+pub(crate) fn positive(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| if v > 0.0 { Ok(v) } else { Err("expected a number above 0".into()) })
 }
 
-fn pitch(s: &str) -> Result<f64, String> {
+pub(crate) fn pitch(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| if v.abs() <= 90.0 { Ok(v) } else { Err("expected -90 to 90 degrees".into()) })
 }
 
@@ -444,7 +467,7 @@ fn fps(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 1 to 240".into()))
 }
 
-fn vector(s: &str) -> Result<DVec3, String> {
+pub(crate) fn vector(s: &str) -> Result<DVec3, String> {
     let parts: Result<Vec<f64>, String> = s.split(',').map(finite).collect();
     let parts: [f64; 3] = parts
         .and_then(|v| v.try_into().map_err(|_| String::new()))
@@ -568,11 +591,17 @@ fn set_threads(threads: Option<u16>) -> Result<()> {
 }
 
 fn tell(what: &str) {
-    eprintln!("{what}");
+    note!("{what}");
 }
 
-fn open_scene(path: &FilePath, skip_broken: bool) -> Result<Scene> {
-    Ok(planecast_encoder::cli::read_scene(&PcastFile::open(path)?, skip_broken)?)
+fn open_scene(path: &FilePath, input: &InputArgs, skip_broken: bool) -> Result<Scene> {
+    let opened = planecast_encoder::cli::open(path, &input.read)?;
+    Ok(planecast_encoder::cli::read_scene(&opened.file, skip_broken)?)
+}
+
+/// The files of a command that are not standard output.
+fn named_file(path: &PathBuf) -> Option<&PathBuf> {
+    Some(path).filter(|path| **path != FilePath::new(output::STDOUT))
 }
 
 /// A scene and its tables, as renderers share them.
@@ -597,8 +626,10 @@ fn check_outputs(inputs: &[Option<&PathBuf>], outputs: &[(&str, Option<&PathBuf>
 
 impl RenderArgs {
     fn run(&self) -> Result<()> {
+        let begun = Instant::now();
+        let picture = Picture::of(&self.output)?;
         let outputs = [
-            ("--output", Some(&self.output)),
+            ("--output", named_file(&self.output)),
             ("--depth", self.depth.as_ref()),
             ("--voxel", self.voxel.as_ref()),
             ("--stats", self.stats.as_ref()),
@@ -606,8 +637,9 @@ impl RenderArgs {
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let scene = open_scene(&self.scene, self.draw.skip_broken)?;
-        let camera = self.pose(&scene).camera(self.size);
+        let scene = open_scene(&self.scene, &self.input, self.draw.skip_broken)?;
+        let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
+        let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
         let (scene, resident) = shared(scene, self.draw.specialize);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
@@ -616,7 +648,10 @@ impl RenderArgs {
             frame.stats.readjusted_saves = renderer.spacing_saves(&camera, &options, &mut tell)?;
         }
 
-        let mut files = vec![output::write(&self.output, |out| output::png(out, &frame))?];
+        let mut files = Vec::new();
+        if let Some(path) = named_file(&self.output) {
+            files.push(output::write(path, |out| picture.write(out, &frame))?);
+        }
         if let Some(path) = &self.depth {
             files.push(output::write(path, |out| output::npy_depth(out, &frame))?);
         }
@@ -629,29 +664,32 @@ impl RenderArgs {
         for file in files {
             file.finish()?;
         }
+        match named_file(&self.output) {
+            Some(path) => {
+                let [width, height] = self.size;
+                Made::new(None, path).tell(begun, &format!("{width} x {height} pixels"));
+            }
+            None => {
+                let mut bytes = Vec::new();
+                let failed = |e| FileError::io("standard output", "write", e);
+                picture.write(&mut bytes, &frame).map_err(failed)?;
+                print_bytes(&bytes)?;
+            }
+        }
         if frame.depth.iter().all(|d| d.is_infinite()) {
             let dims = scene.dims().map(|v| v.to_string()).join(" x ");
-            eprintln!(
+            note!(
                 "nothing but sky is in the picture: the scene is {dims} voxels from 0,0,0, the eye is at {:?}",
                 camera.eye.to_array()
             );
         }
         Ok(())
     }
-
-    /// What of the pose was typed, the rest from a good view of the scene.
-    fn pose(&self, scene: &Scene) -> Pose {
-        let base = match self.eye {
-            Some(eye) => Pose { eye, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: self.draw.fov },
-            None => tour::still(scene, self.draw.view(self.size)),
-        };
-        let (yaw, pitch) = (self.yaw.unwrap_or(base.yaw), self.pitch.unwrap_or(base.pitch));
-        Pose { yaw, pitch, roll: self.roll, ..base }
-    }
 }
 
 impl FlyArgs {
     fn run(&self) -> Result<()> {
+        let begun = Instant::now();
         let kind = Kind::of(&self.output)?;
         let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
         if kind == Kind::Mp4 {
@@ -661,11 +699,17 @@ impl FlyArgs {
         self.draw.set_threads()?;
         let options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
-        let file = PcastFile::open(&self.scene)?;
+        if self.aim.is_given() && (self.path.is_some() || self.tour) {
+            let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
+            return Err(Error::Argument(what.to_owned()));
+        }
+        let file = planecast_encoder::cli::open(&self.scene, &self.input.read)?.file;
         let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
-        let path = given.unwrap_or_else(|| tour::tour(&scene, self.draw.view(self.size)));
+        let view = self.draw.view(self.size);
+        let given = given.or_else(|| self.aim.path(&scene, view));
+        let path = given.unwrap_or_else(|| tour::tour(&scene, view));
         if let Some(file) = &self.save_path {
             output::write(file, |out| out.write_all(path.to_json().as_bytes()))?.finish()?;
         }
@@ -708,6 +752,10 @@ impl FlyArgs {
                 self.output.display()
             )));
         }
+        if let Some(path) = named_file(&self.output) {
+            let [width, height] = self.size;
+            Made::new(None, path).tell(begun, &format!("{} frames of {width} x {height} pixels", outcome.frames));
+        }
         Ok(())
     }
 }
@@ -718,7 +766,7 @@ impl ViewArgs {
         view::view(view::Settings {
             input: self.input.clone(),
             how: crate::world::OpenOptions {
-                read: self.read.clone(),
+                read: self.input_options.read.clone(),
                 skip_broken: self.draw.skip_broken,
                 specialize: self.draw.specialize,
             },
@@ -726,6 +774,7 @@ impl ViewArgs {
             yaw: self.yaw,
             pitch: self.pitch,
             roll: self.roll,
+            aim: self.aim,
             fov: self.draw.fov,
             device: self.draw.device,
             kernel: self.draw.kernel.clone(),
@@ -777,7 +826,7 @@ impl ReportArgs {
             budget_ms: self.budget_ms,
             max_error: self.max_error,
         };
-        let choice = report::report(scene, &job, &mut tell)?;
+        let choice = report::report(scene, &self.input.read, &job, &mut tell)?;
         choice.map_or(Ok(()), |text| print(&(text + "\n")))
     }
 
@@ -809,7 +858,7 @@ fn stop_on_ctrl_c() -> &'static AtomicBool {
         if STOP.swap(true, Ordering::Relaxed) {
             guard::leave(1);
         }
-        eprintln!("stopping: what is drawn is still being saved; Ctrl-C again ends at once");
+        note!("stopping: what is drawn is still being saved; Ctrl-C again ends at once");
     });
     &STOP
 }
@@ -818,22 +867,26 @@ fn stop_on_ctrl_c() -> &'static AtomicBool {
 fn end_on_ctrl_c() {
     _ = ctrlc::set_handler(|| {
         guard::last_word();
-        eprintln!("planecast: interrupted; what it was to write is as it was before");
+        say!("planecast: interrupted; what it was to write is as it was before");
         guard::leave(1);
     });
 }
 
 impl PickArgs {
     fn run(&self) -> Result<()> {
-        let report = pick::report(&open_scene(&self.scene, false)?, self.from, self.dir)?;
+        let report = pick::report(&open_scene(&self.scene, &self.input, false)?, self.from, self.dir)?;
         print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
     }
 }
 
 /// Standard output, where a reader that has seen enough (`| head`) is no error.
 pub(crate) fn print(text: &str) -> Result<()> {
+    print_bytes(text.as_bytes())
+}
+
+fn print_bytes(bytes: &[u8]) -> Result<()> {
     let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+    match out.write_all(bytes).and_then(|()| out.flush()) {
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(FileError::io("standard output", "write", e).into()),
         _ => Ok(()),
     }
@@ -841,7 +894,12 @@ pub(crate) fn print(text: &str) -> Result<()> {
 
 /// Runs the command with the program's arguments, the program's name first. Errors go to stderr.
 pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
-    let cli = match Cli::try_parse_from(join_negative(args.into_iter().map(|a| a.as_ref().to_owned()))) {
+    let args = join_negative(args.into_iter().map(|a| a.as_ref().to_owned()));
+    if args.len() <= 1 {
+        return exit(print(help::SHORT));
+    }
+    let parse = |args| help::command().try_get_matches_from(args).and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match opens(args).and_then(parse) {
         Ok(cli) => cli,
         Err(e) if !e.use_stderr() => {
             let text = e.render();
@@ -849,10 +907,13 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
             return exit(print(&text));
         }
         Err(e) => {
-            eprintln!("planecast: {}", plain(&e));
+            say!("planecast: {}", plain(&e));
             return ExitCode::from(2);
         }
     };
+    if cli.quiet {
+        say::be_quiet();
+    }
     guard::explain_lost_files();
     if !matches!(cli.command, Command::Encode(_) | Command::Merge(_) | Command::Fly(_)) {
         end_on_ctrl_c();
@@ -882,7 +943,49 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Bench(args) => args.run(),
         #[cfg(feature = "report")]
         Command::Report(args) => args.run(),
+        Command::Completions(args) => args.run(),
+        Command::Man(args) => args.run(),
     })
+}
+
+/// `planecast FILE …` as the command that opens it: the window where one can be shown, else a picture beside it.
+fn opens(mut args: Vec<OsString>) -> Result<Vec<OsString>, clap::Error> {
+    let is_flag = |arg: &OsString| arg.as_encoded_bytes().starts_with(b"-");
+    let Some(at) = args.iter().skip(1).position(|arg| !matches!(arg.to_str(), Some("-q" | "--quiet"))).map(|i| i + 1) else {
+        return Ok(args);
+    };
+    let first = &args[at];
+    let command = first.to_str().is_some_and(|name| {
+        name == "help" || help::command().get_subcommands().any(|c| c.get_name() == name)
+    });
+    if is_flag(first) || command {
+        return Ok(args);
+    }
+    let name = PathBuf::from(first);
+    if !planecast_encoder::open::is_there(&name) {
+        // What has an ending or a folder is a file's name; anything else may be a command, mistyped.
+        if name.extension().is_some() || name.components().count() > 1 {
+            let what = format!("{}: there is no such file, and no command of this name\n", name.display());
+            return Err(clap::Error::raw(clap::error::ErrorKind::InvalidSubcommand, what));
+        }
+        return Ok(args);
+    }
+    let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    let shown = set("DISPLAY") || set("WAYLAND_DISPLAY") || cfg!(any(target_os = "macos", windows));
+    let window = cfg!(feature = "view") && shown;
+    args.insert(at, if window { "view" } else { "render" }.into());
+    let given = args.iter().any(|arg| matches!(arg.to_str(), Some("-o" | "--output")));
+    if !window && !given {
+        let file = name.file_name().map_or_else(|| "picture".into(), |name| PathBuf::from(name.to_string_lossy().split(['?', ':']).next().unwrap_or_default()));
+        let beside = if planecast_encoder::open::is_procedural(&name) || name.to_string_lossy().contains("://") { file } else { name.with_file_name(file) };
+        let still = beside.with_extension("png");
+        // A picture that is the input itself is not written over.
+        let still = if still == name { beside.with_extension("still.png") } else { still };
+        let why = if cfg!(feature = "view") { "there is no display for a window" } else { "built without its window" };
+        note!("{why}: drawing {} instead", still.display());
+        args.extend(["-o".into(), still.into_os_string()]);
+    }
+    Ok(args)
 }
 
 /// `--flag -5,3` as `--flag=-5,3`: clap takes what starts with a hyphen for a flag. (Told to allow hyphens in values,
@@ -909,15 +1012,19 @@ fn plain(error: &clap::Error) -> String {
         return "a command is missing; planecast --help lists them".into();
     }
     let text = error.render().to_string();
-    let paragraph = text.split("\n\n").next().unwrap_or_default();
-    let words: Vec<&str> = paragraph.trim_start_matches("error: ").split_whitespace().collect();
-    words.join(" ")
+    let mut paragraphs = text.split("\n\n");
+    let first = paragraphs.next().unwrap_or_default();
+    // "tip: a similar argument exists: …"
+    let tips = paragraphs.filter(|p| p.trim_start().starts_with("tip: a similar"));
+    let line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let tips: String = tips.map(|tip| format!("; {}", line(tip).trim_start_matches("tip: "))).collect();
+    line(first.trim_start_matches("error: ")) + &tips
 }
 
 fn exit(done: Result<()>) -> ExitCode {
     let Err(error) = done else { return ExitCode::SUCCESS };
     guard::last_word();
-    eprintln!("planecast: {error}");
+    say!("planecast: {error}");
     match error {
         Error::Argument(_) => ExitCode::from(2),
         Error::Scene(e) => ExitCode::from(planecast_encoder::cli::exit_status(&e)),
@@ -928,9 +1035,12 @@ fn exit(done: Result<()>) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::path::Pose;
 
     fn parse(line: &str) -> Result<Cli, String> {
-        Cli::try_parse_from(join_negative(line.split_whitespace().map(OsString::from))).map_err(|e| plain(&e))
+        let args = opens(join_negative(line.split_whitespace().map(OsString::from)));
+        let parse = |args| help::command().try_get_matches_from(args).and_then(|m| Cli::from_arg_matches(&m));
+        args.and_then(parse).map_err(|e| plain(&e))
     }
 
     fn render(flags: &str) -> RenderArgs {
@@ -946,8 +1056,7 @@ mod tests {
 
     #[test]
     fn cli_definition_is_sound() {
-        use clap::CommandFactory;
-        Cli::command().debug_assert();
+        help::command().debug_assert();
     }
 
     #[test]
@@ -1076,7 +1185,7 @@ mod tests {
         }
         assert_eq!(parse("planecast").unwrap_err(), "a command is missing; planecast --help lists them");
         assert!(parse("planecast fly s -o d --path p.json --tour").unwrap_err().contains("cannot be used with"));
-        assert!(parse("planecast render s.pcast").unwrap_err().ends_with("not provided: --output <OUT.png>"));
+        assert!(parse("planecast render s.pcast").unwrap_err().ends_with("not provided: --output <OUT.png|->"));
     }
 
     #[test]

@@ -329,7 +329,7 @@ impl Progress {
             *told = Instant::now();
             let rate = (done - self.kept) as f64 / self.start.elapsed().as_secs_f64();
             let left = (self.total - done) as f64 / rate;
-            eprintln!("frame {done} of {}, {rate:.1} a second, {left:.0} s left", self.total);
+            planecast_encoder::note!("frame {done} of {}, {rate:.1} a second, {left:.0} s left", self.total);
         }
     }
 

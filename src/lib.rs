@@ -87,6 +87,8 @@
 //! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]); where samples show
 //! different voxels of level 0, what a short walk of that ray meets ([`Remap::Refine`]). Culling never changes a picture.
 
+#[cfg(not(target_arch = "wasm32"))]
+pub mod aim;
 #[cfg(feature = "report")]
 pub mod bench;
 pub mod camera;
@@ -106,6 +108,8 @@ pub mod fly;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod help;
 #[cfg(feature = "report")]
 mod json_lines;
 #[cfg(feature = "report")]

@@ -2,6 +2,9 @@
 
 use std::process::ExitCode;
 
+#[global_allocator]
+static ALLOCATOR: planecast_encoder::guard::Allocator = planecast_encoder::guard::Allocator;
+
 fn main() -> ExitCode {
     // Without a display Mesa's device-select layer, which picks among adapters as this program does itself, only
     // complains on stderr.
@@ -15,7 +18,14 @@ fn main() -> ExitCode {
         let place = panic.location().map(|l| format!(" at {}:{}", l.file(), l.line())).unwrap_or_default();
         let what = panic.payload_as_str().unwrap_or("unknown").replace('\n', " ");
         planecast_encoder::guard::last_word();
-        eprintln!("planecast: a fault in the program itself{place}: {what}; please report it");
+        // Threads are asked for in libraries, too, which take them for granted.
+        if planecast_encoder::guard::is_short_of_memory() || what.contains("spawn thread") || what.contains("ThreadPool") {
+            planecast_encoder::say!(
+                "planecast: out of memory: {what}; raise the system's limit (ulimit -v), or ask for less (--memory, --size, --threads)"
+            );
+            planecast_encoder::guard::leave(1);
+        }
+        planecast_encoder::say!("planecast: a fault in the program itself{place}: {what}; please report it");
         std::process::exit(1);
     }));
     planecast::cli::run(std::env::args_os())

@@ -1,31 +1,27 @@
 //! Files are written whole or not at all.
 //!
-//! A file is written under a passing name in the folder it is for, brought to the disk, and only then given its
-//! name. Several files of one command are all written before the first is named, so that a full disk leaves none.
+//! A file is written without a name in the folder it is for, brought to the disk, and only then given its name. Several files of one command are all written before the first is named, so that a full disk leaves none.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use planecast_encoder::guard::Passing;
+use planecast_encoder::passing::Unfinished;
 use planecast_encoder::{Error, Result};
-use tempfile::NamedTempFile;
 
 use crate::Frame;
 
 /// A file written in full that does not have its name yet. Dropped, it is gone.
 #[must_use = "a file gets its name by finish()"]
 pub struct Pending {
-    temp: NamedTempFile,
-    _passing: Passing,
+    file: Unfinished,
     path: PathBuf,
 }
 
 impl Pending {
     /// Gives the file its name, in place of a file that may have had it.
     pub fn finish(self) -> Result<()> {
-        self.temp.persist(&self.path).map_err(|e| Error::io(&self.path, "write", e.error))?;
-        Ok(())
+        self.file.finish(&self.path).map_err(|e| Error::io(&self.path, "write", e))
     }
 }
 
@@ -42,15 +38,8 @@ fn resolve(path: &Path) -> Result<PathBuf> {
     }
 }
 
-fn temp_in(path: &Path) -> Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    {
-        // What the umask leaves, as for any other file; the default is for the owner's eyes alone.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
-    builder.prefix(".planecast-").tempfile_in(folder(path)).map_err(|e| Error::io(path, "write", e))
+fn unfinished(path: &Path) -> Result<Unfinished> {
+    Unfinished::new(folder(path), path).map_err(|e| Error::io(path, "write", e))
 }
 
 /// Whether `path` can be written, as far as it can be known before: its folder is there and takes files, and no
@@ -76,33 +65,85 @@ pub fn check(path: &Path) -> Result<()> {
         Err(e) => return Err(Error::io(folder(path), "look into", e)),
         Ok(_) => {}
     }
-    temp_in(path).map(drop)
+    unfinished(path).map(drop)
 }
 
 /// Writes a file in full, without its name.
 pub fn write(path: &Path, content: impl FnOnce(&mut BufWriter<&File>) -> io::Result<()>) -> Result<Pending> {
     check(path)?;
     let path = resolve(path)?;
-    let temp = temp_in(&path)?;
-    let passing = Passing::new(temp.path());
-    let mut out = BufWriter::with_capacity(1 << 20, temp.as_file());
+    let file = unfinished(&path)?;
+    let mut out = BufWriter::with_capacity(1 << 20, file.file());
     content(&mut out)
         .and_then(|()| out.flush())
-        .and_then(|()| temp.as_file().sync_all())
+        .and_then(|()| file.file().sync_all())
         .map_err(|e| Error::io(&path, "write", e))?;
     drop(out);
-    Ok(Pending { temp, _passing: passing, path })
+    Ok(Pending { file, path })
 }
 
 /// A frame's colours as PNG, 8-bit sRGB.
 pub fn png(out: &mut impl Write, frame: &Frame) -> io::Result<()> {
-    use image::ImageEncoder;
-    let rgb: Vec<u8> = frame.color.iter().flat_map(|c| [c[0], c[1], c[2]]).collect();
-    let encoder = image::codecs::png::PngEncoder::new(out);
-    encoder.write_image(&rgb, frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(|e| match e {
+    write_image(image::codecs::png::PngEncoder::new(out), frame)
+}
+
+/// What a picture is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Picture {
+    Png,
+    Jpeg,
+}
+
+/// JPEG's quality, of 100: artefacts at edges of voxels are not seen.
+const JPEG_QUALITY: u8 = 95;
+
+/// Pixels a side that a JPEG can have at most.
+const JPEG_SIDE: u32 = 65_535;
+
+/// The name that stands for standard output.
+pub const STDOUT: &str = "-";
+
+impl Picture {
+    /// By the name's ending; standard output is PNG. An error says which there are.
+    pub fn of(path: &Path) -> crate::Result<Picture> {
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        match ending.as_deref() {
+            Some("png") => Ok(Picture::Png),
+            None if path == Path::new(STDOUT) => Ok(Picture::Png),
+            Some("jpg" | "jpeg") => Ok(Picture::Jpeg),
+            other => {
+                let what = other.map_or("a picture without an ending".to_owned(), |ending| format!(".{ending}"));
+                let path = path.display();
+                Err(crate::Error::Argument(format!(
+                    "-o {path}: cannot write {what}; name a .png or .jpg file, or - for PNG on standard output"
+                )))
+            }
+        }
+    }
+
+    pub fn write(self, out: &mut impl Write, frame: &Frame) -> io::Result<()> {
+        match self {
+            Picture::Png => png(out, frame),
+            Picture::Jpeg => jpeg(out, frame),
+        }
+    }
+}
+
+fn pixels(frame: &Frame) -> Vec<u8> {
+    frame.color.iter().flat_map(|c| [c[0], c[1], c[2]]).collect()
+}
+
+fn write_image(encoder: impl image::ImageEncoder, frame: &Frame) -> io::Result<()> {
+    encoder.write_image(&pixels(frame), frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(|e| match e {
         image::ImageError::IoError(e) => e,
         e => io::Error::other(e),
     })
+}
+
+/// A frame's colours as JPEG.
+pub fn jpeg(out: &mut impl Write, frame: &Frame) -> io::Result<()> {
+    debug_assert!(frame.width <= JPEG_SIDE && frame.height <= JPEG_SIDE, "--size allows less");
+    write_image(image::codecs::jpeg::JpegEncoder::new_with_quality(out, JPEG_QUALITY), frame)
 }
 
 /// NPY 1.0 header, C order, padded so that the data starts at a multiple of 64 bytes.

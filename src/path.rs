@@ -111,6 +111,8 @@ impl Path {
 
     /// A path from the text of a path file.
     pub fn parse(text: &str, default_fov: f64) -> Result<Path, String> {
+        // Editors of some systems put a byte order mark first.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let value: Value = serde_json::from_str(text).map_err(|e| format!("is not JSON: {e}"))?;
         let Value::Array(list) = value else {
             return Err(format!("expected a list of keyframes, found {}", kind(&value)));

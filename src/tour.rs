@@ -1,8 +1,12 @@
-//! A good tour of any scene, made from its columns alone.
+//! A good view and a good tour of any scene, made from its columns alone.
 //!
-//! Two kinds of scene ask for two kinds of tour. Over a *terrain* (wide and low) the camera flies a loop within the
-//! map, above the ground, looking ahead and inwards, toward where the relief is highest. An *object* (tall for its
-//! width) is circled at the distance at which it fills the picture, from a height that rises and falls.
+//! A view is framed by what is solid, taken from a coarse level, so that a scene of any size takes the same short time: an
+//! *object* (tall for its width) fills three quarters of the picture, a *terrain* (wide and low) is seen whole, obliquely,
+//! with north away from the eye.
+//!
+//! The tour begins and ends there. Over a terrain the camera flies a loop within the map, above the ground, looking ahead and
+//! inwards, toward where the relief is highest. An object is circled at the distance at which it fills the picture, from a
+//! height that rises and falls.
 //!
 //! The loop keeps above the highest solid voxel of every column near it: the height that is needed is taken around
 //! each of its points, widened and smoothed by windows of one length, so that the smoothed height nowhere falls below
@@ -36,19 +40,180 @@ pub struct View {
     pub repeat: Repeat,
 }
 
-/// A tour of the scene, [`SECONDS`] long, a loop that ends where it starts.
+/// A tour of the scene, [`SECONDS`] long, a loop that starts and ends at its good view.
 pub fn tour(scene: &Scene, view: View) -> Path {
     let ground = Ground::new(&scene.levels[0].solid, view.repeat);
-    let path = if ground.is_terrain() { over(&ground, view.fov) } else { around(&ground, view) };
+    if view.repeat.x || view.repeat.z {
+        // A world without end is not seen whole.
+        return lift(over(&ground, view.fov, None), &ground);
+    }
+    let subject = Subject::new(scene);
+    let still = subject.still(view);
+    let path = match subject.terrain {
+        true => over(&ground, view.fov, Some(still)),
+        false => around(&subject, view, still),
+    };
     lift(path, &ground)
 }
 
-/// A good single view of the scene: where its tour starts.
-pub fn still(scene: &Scene, view: View) -> Pose {
-    tour(scene, view).at(0.0)
+/// A tour that goes once round a point, from `yaw` on, at one pitch and distance.
+pub fn round(target: DVec3, yaw: f64, pitch: f64, distance: f64, fov: f64) -> Path {
+    closed(|u| from_side(target, yaw + 360.0 * u, pitch, distance, fov))
 }
 
-/// The greatest height in each square cell of columns, and the box that holds every solid voxel.
+/// A good single view of the scene.
+pub fn still(scene: &Scene, view: View) -> Pose {
+    if view.repeat.x || view.repeat.z {
+        return tour(scene, view).at(0.0);
+    }
+    Subject::new(scene).still(view)
+}
+
+/// The pose that looks at `target` along yaw and pitch from this far.
+pub fn from_side(target: DVec3, yaw: f64, pitch: f64, distance: f64, fov: f64) -> Pose {
+    let pose = Pose { eye: target, yaw, pitch, roll: 0.0, fov };
+    let forward = pose.camera([1, 1]).basis().forward;
+    Pose { eye: target - distance * forward, ..pose }
+}
+
+/// What of the picture an object takes, and a terrain, along the side that is filled more.
+const FILLED_BY_OBJECT: f64 = 0.75;
+const FILLED_BY_TERRAIN: f64 = 0.92;
+
+/// Degrees from which an object is seen first, and a terrain.
+const SIDE_OF_OBJECT: [f64; 2] = [-29.0, -22.0];
+const SIDE_OF_TERRAIN: [f64; 2] = [18.0, -30.0];
+
+/// What is solid in a scene, as coarsely as a picture's frame needs to know.
+pub struct Subject {
+    /// Corners of the lowest and highest voxel of each column of a coarse level, voxels of level 0.
+    corners: Vec<DVec3>,
+    pub low: DVec3,
+    pub high: DVec3,
+    pub terrain: bool,
+    /// Whether the map is much longer in z than in x.
+    long: bool,
+}
+
+impl Subject {
+    /// Columns a side of the level that is looked at, at most.
+    const COLUMNS: u32 = 192;
+
+    pub fn new(scene: &Scene) -> Subject {
+        let level = scene.levels.iter().position(|l| l.solid.nx().max(l.solid.nz()) <= Subject::COLUMNS);
+        let mut level = level.unwrap_or(scene.levels.len() - 1);
+        // By the rule of majorities thin things vanish from coarse levels.
+        while level > 0 && scene.levels[level].solid.runs().is_empty() {
+            level -= 1;
+        }
+        let columns = &scene.levels[level].solid;
+        let size = f64::from(1u32 << level);
+        let dims = DVec3::from(scene.dims().map(f64::from));
+        let (mut corners, mut covered, mut low, mut high) = (Vec::new(), 0u64, DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for z in 0..columns.nz() {
+            for x in 0..columns.nx() {
+                let runs = columns.column(x, z);
+                let (Some(first), Some(last)) = (runs.first(), runs.last()) else { continue };
+                covered += 1;
+                // A coarse voxel may reach beyond the world.
+                let near = DVec3::new(x.into(), first.first().into(), z.into()) * size;
+                let far = (DVec3::new(f64::from(x) + 1.0, last.end().into(), f64::from(z) + 1.0) * size).min(dims);
+                for [x, z] in [[near.x, near.z], [near.x, far.z], [far.x, near.z], [far.x, far.z]] {
+                    corners.extend([DVec3::new(x, near.y, z), DVec3::new(x, far.y, z)]);
+                }
+                (low, high) = (low.min(near), high.max(far));
+            }
+        }
+        if corners.is_empty() {
+            (low, high) = (DVec3::ZERO, dims); // nothing is solid: the empty world itself is looked at
+            corners = (0..8).map(|i| dims * DVec3::new((i & 1).into(), (i >> 1 & 1).into(), (i >> 2).into())).collect();
+        }
+        let wide = high.y <= 0.4 * dims.x.min(dims.z);
+        let terrain = wide && 2 * covered > u64::from(columns.nx()) * u64::from(columns.nz());
+        Subject { corners, low, high, terrain, long: dims.z > 1.6 * dims.x }
+    }
+
+    /// The middle of the box around what is solid.
+    pub fn center(&self) -> DVec3 {
+        (self.low + self.high) / 2.0
+    }
+
+    /// Yaw and pitch of the good view.
+    pub fn side(&self) -> [f64; 2] {
+        match (self.terrain, self.long) {
+            (false, _) => SIDE_OF_OBJECT,
+            (true, false) => SIDE_OF_TERRAIN,
+            (true, true) => [SIDE_OF_TERRAIN[0] + 90.0, SIDE_OF_TERRAIN[1]],
+        }
+    }
+
+    fn still(&self, view: View) -> Pose {
+        let [yaw, pitch] = self.side();
+        self.framed(yaw, pitch, view)
+    }
+
+    /// The pose along yaw and pitch from which all is in the picture, in its middle, and fills it as a good view does.
+    pub fn framed(&self, yaw: f64, pitch: f64, view: View) -> Pose {
+        let filled = if self.terrain { FILLED_BY_TERRAIN } else { FILLED_BY_OBJECT };
+        let pose = Pose { eye: self.center(), yaw, pitch, roll: 0.0, fov: view.fov };
+        let camera = pose.camera(view.size);
+        let (basis, half) = (camera.basis(), camera.half_extent() * filled);
+        // Across, up and along the direction of view.
+        let along: Vec<DVec3> = self
+            .corners
+            .iter()
+            .map(|c| c - self.center())
+            .map(|d| DVec3::new(d.dot(basis.right), d.dot(basis.up), d.dot(basis.forward)))
+            .collect();
+        // An eye at (x, y, z) sees a corner within the half extents where |across − x| ≤ half · (along − z). On each axis the
+        // farthest eye that the two sides need, and between them the middle.
+        let axis = |of: fn(&DVec3) -> f64, half: f64| {
+            let sum = along.iter().map(|d| of(d) - half * d.z).fold(f64::NEG_INFINITY, f64::max);
+            let difference = along.iter().map(|d| -of(d) - half * d.z).fold(f64::NEG_INFINITY, f64::max);
+            // x ≥ sum + half·z and −x ≥ difference + half·z.
+            ((sum - difference) / 2.0, -(sum + difference) / (2.0 * half))
+        };
+        let (x, z_across) = axis(|d| d.x, half.x);
+        let (y, z_up) = axis(|d| d.y, half.y);
+        // And out of the box: the nearest corner is in front of the eye.
+        let nearest = along.iter().map(|d| d.z).fold(f64::INFINITY, f64::min);
+        let z = z_across.min(z_up).min(nearest - 1e-3 * (self.high - self.low).length());
+        let eye = self.center() + x * basis.right + y * basis.up + z * basis.forward;
+        Pose { eye, ..pose }
+    }
+
+    /// How far from `target` along yaw and pitch all is in the picture.
+    pub fn distance(&self, target: DVec3, yaw: f64, pitch: f64, view: View) -> f64 {
+        let pose = Pose { eye: target, yaw, pitch, roll: 0.0, fov: view.fov };
+        let camera = pose.camera(view.size);
+        let filled = if self.terrain { FILLED_BY_TERRAIN } else { FILLED_BY_OBJECT };
+        let (basis, half) = (camera.basis(), camera.half_extent() * filled);
+        let needed = |c: &DVec3| {
+            let d = c - target;
+            (d.dot(basis.right).abs() / half.x).max(d.dot(basis.up).abs() / half.y) - d.dot(basis.forward)
+        };
+        self.corners.iter().map(needed).fold(1.0, f64::max)
+    }
+}
+
+/// What a tour shows of its loop at `u`, 0 to 1, and what of its good view: all of that at both ends.
+fn near_ends(u: f64) -> f64 {
+    let t = 1.0 - (u.min(1.0 - u) / 0.25).min(1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// From one pose to another, by the shorter turn.
+fn between(a: Pose, b: Pose, part: f64) -> Pose {
+    let turn = (b.yaw - a.yaw + 180.0).rem_euclid(360.0) - 180.0;
+    Pose {
+        eye: a.eye + part * (b.eye - a.eye),
+        yaw: a.yaw + part * turn,
+        pitch: a.pitch + part * (b.pitch - a.pitch),
+        ..a
+    }
+}
+
+/// The greatest height in each square cell of columns.
 struct Ground {
     /// Columns a cell is wide.
     cell: u32,
@@ -58,8 +223,6 @@ struct Ground {
     /// Voxels, x fastest; the greatest top of a cell.
     tops: Vec<f64>,
     dims: DVec3,
-    low: DVec3,
-    high: DVec3,
     repeat: Repeat,
 }
 
@@ -72,24 +235,15 @@ impl Ground {
         let cell = nx.max(nz).div_ceil(Ground::CELLS).next_power_of_two();
         let cells = [nx.div_ceil(cell) as usize, nz.div_ceil(cell) as usize];
         let mut tops = vec![0.0f64; cells[0] * cells[1]];
-        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for z in 0..nz {
             for x in 0..nx {
-                let (Some(first), Some(last)) = (columns.column(x, z).first(), columns.column(x, z).last()) else {
-                    continue;
-                };
-                let top = f64::from(last.end());
+                let Some(last) = columns.column(x, z).last() else { continue };
                 let at = (z / cell) as usize * cells[0] + (x / cell) as usize;
-                tops[at] = tops[at].max(top);
-                low = low.min(DVec3::new(x.into(), first.first().into(), z.into()));
-                high = high.max(DVec3::new(f64::from(x) + 1.0, top, f64::from(z) + 1.0));
+                tops[at] = tops[at].max(f64::from(last.end()));
             }
         }
         let dims = DVec3::new(nx.into(), ny.into(), nz.into());
-        if low.x > high.x {
-            (low, high) = (DVec3::ZERO, dims); // nothing is solid: the empty world itself is looked at
-        }
-        let mut ground = Ground { cell, cells, near: Vec::new(), tops, dims, low, high, repeat };
+        let mut ground = Ground { cell, cells, near: Vec::new(), tops, dims, repeat };
         ground.near = (0..cells[0] * cells[1])
             .map(|i| {
                 let (x, z) = ((i % cells[0]) as i64, (i / cells[0]) as i64);
@@ -121,12 +275,6 @@ impl Ground {
         self.index(x, z).map_or(0.0, |i| self.near[i])
     }
 
-    fn is_terrain(&self) -> bool {
-        let covered = self.tops.iter().filter(|&&t| t > 0.0).count() as f64 / self.tops.len() as f64;
-        let low = self.high.y <= 0.4 * self.dims.x.min(self.dims.z);
-        (low && covered > 0.5) || self.repeat.x || self.repeat.z
-    }
-
     /// Voxels kept between the eye and the ground below.
     fn clearance(&self) -> f64 {
         (0.035 * self.dims.x.min(self.dims.z)).max(2.0)
@@ -152,7 +300,7 @@ impl Ground {
 }
 
 /// The pose at `eye` that looks at `target`.
-fn look(eye: DVec3, target: DVec3, fov: f64) -> Pose {
+pub fn look(eye: DVec3, target: DVec3, fov: f64) -> Pose {
     let d = target - eye;
     let yaw = d.x.atan2(-d.z).to_degrees();
     let pitch = d.y.atan2(d.x.hypot(d.z)).to_degrees();
@@ -168,14 +316,18 @@ fn closed(pose: impl Fn(f64) -> Pose) -> Path {
     Path::new(keyframes.collect()).expect("a tour's keyframes are finite and in order")
 }
 
-/// A loop over a terrain.
-fn over(ground: &Ground, fov: f64) -> Path {
+/// A loop over a terrain; where it begins with a view of the whole, from that down and back to it.
+fn over(ground: &Ground, fov: f64, still: Option<Pose>) -> Path {
     let center = ground.center();
     // Half way to the interest from the centre: near enough to be looked at from all of the loop, and never so near
     // to the loop that the view swings round.
     let interest = center + 0.5 * (ground.interest() - center);
     let away = center - interest;
-    let start = if away.length() > 0.02 * center.length() { away.y.atan2(away.x) } else { TAU / 8.0 };
+    let start = if let Some(still) = still {
+        // Below the view from which it comes.
+        let (sin, cos) = still.yaw.to_radians().sin_cos();
+        cos.atan2(-sin)
+    } else if away.length() > 0.02 * center.length() { away.y.atan2(away.x) } else { TAU / 8.0 };
     let place = |u: f64| {
         let angle = start + u * TAU;
         center + 0.66 * center * (1.0 + 0.1 * (3.0 * angle).sin()) * DVec2::from_angle(angle)
@@ -202,32 +354,27 @@ fn over(ground: &Ground, fov: f64) -> Path {
         let target = (ahead + interest) / 2.0;
         let eye = DVec3::new(at.x, heights[(u * SAMPLES as f64).round() as usize % SAMPLES], at.y);
         let pose = look(eye, DVec3::new(target.x, mean, target.y), fov);
-        Pose { pitch: pose.pitch.clamp(-35.0, -5.0), ..pose }
+        let pose = Pose { pitch: pose.pitch.clamp(-35.0, -5.0), ..pose };
+        still.map_or(pose, |still| between(pose, still, near_ends(u)))
     })
 }
 
 /// A loop around an object.
-fn around(ground: &Ground, view: View) -> Path {
-    let center = (ground.low + ground.high) / 2.0;
-    let size = ground.high - ground.low;
-    let from = |u: f64| {
-        let (turn, rise) = ((u + 0.08) * TAU, (22.0 + 12.0 * (u * TAU).cos()).to_radians());
-        DVec3::new(turn.sin() * rise.cos(), rise.sin(), turn.cos() * rise.cos())
+fn around(subject: &Subject, view: View, still: Pose) -> Path {
+    let center = subject.center();
+    let [yaw, pitch] = subject.side();
+    let side = |u: f64| [yaw - 360.0 * u, pitch - 6.0 + 6.0 * (u * TAU).cos()];
+    // Near enough that from everywhere on the loop all of it is in the picture; 0.6 diagonals keep the eye out of the object at
+    // any field of view.
+    let needed = |i: usize| {
+        let [yaw, pitch] = side(i as f64 / KEYFRAMES as f64);
+        subject.distance(center, yaw, pitch, view)
     };
-    // Near enough that from everywhere on the loop all corners are in the picture, with a margin of a tenth; 0.6
-    // diagonals keep the eye out of the object at any field of view.
-    let nearest = |u: f64| {
-        let camera = look(center + from(u), center, view.fov).camera(view.size);
-        let (basis, half) = (camera.basis(), camera.half_extent() / 1.1);
-        let corner = |i: i32| size * DVec3::new((i & 1).into(), (i >> 1 & 1).into(), (i >> 2).into()) - size / 2.0;
-        let needed = |d: DVec3| {
-            let side = (d.dot(basis.right).abs() / half.x).max(d.dot(basis.up).abs() / half.y);
-            side - d.dot(basis.forward)
-        };
-        (0..8).map(corner).map(needed).fold(0.0, f64::max)
-    };
-    let distance = (0..KEYFRAMES).map(|i| nearest(i as f64 / KEYFRAMES as f64)).fold(0.6 * size.length(), f64::max);
-    closed(|u| look(center + distance * from(u), center, view.fov))
+    let distance = (0..KEYFRAMES).map(needed).fold(0.6 * (subject.high - subject.low).length(), f64::max);
+    closed(|u| {
+        let [yaw, pitch] = side(u);
+        between(from_side(center, yaw, pitch, distance, view.fov), still, near_ends(u))
+    })
 }
 
 /// The path, raised by what it lacks to keep half the clearance over the ground everywhere: the smoothing leaves the

@@ -13,10 +13,7 @@ use crate::specialize::Features;
 use crate::{Error, Result};
 
 #[cfg(not(target_arch = "wasm32"))]
-use {
-    planecast_encoder::encode::{self, EncodeOptions, Watch},
-    std::io::Read,
-};
+use planecast_encoder::encode::Watch;
 
 /// A scene with all its levels, ready to be drawn and walked on.
 pub struct World {
@@ -141,22 +138,9 @@ impl World {
     /// stops it.
     #[cfg(not(target_arch = "wasm32"))]
     pub fn open_with(path: &Path, how: &OpenOptions, watch: &Watch) -> Result<World> {
-        let failed = |e| Error::Scene(planecast_encoder::Error::io(path, "read", e));
-        let procedural = path.to_str().is_some_and(|p| p.starts_with("procedural:"));
-        if !procedural && path.is_file() {
-            let mut head = Vec::new();
-            let file = std::fs::File::open(path).map_err(failed)?;
-            file.take(16).read_to_end(&mut head).map_err(failed)?;
-            // What calls itself a scene is told what is wrong with it as one.
-            if is_scene(&head) || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
-                return World::of_file(&PcastFile::open(path)?, path, false, how.skip_broken, how.specialize);
-            }
-        }
-        let pieces = source::open_pieces(path, &how.read)?;
-        let folder = tempfile::tempdir().map_err(failed)?;
-        let scene = folder.path().join("scene.pcast");
-        encode::encode(&*pieces, &EncodeOptions::default(), &scene, watch)?;
-        World::of_file(&PcastFile::open(&scene)?, path, true, false, how.specialize)
+        let opened = planecast_encoder::open::open(path, &how.read, watch, &mut |_| {})?;
+        let skip_broken = how.skip_broken && !opened.encoded;
+        World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)
     }
 
     /// What a window calls it.
@@ -230,6 +214,8 @@ impl Drop for Opening {
 
 #[cfg(test)]
 mod tests {
+    use planecast_encoder::encode::{self, EncodeOptions};
+
     use super::*;
 
     #[test]

@@ -134,7 +134,7 @@ fn exit_status_tells_the_command_line_from_the_input() {
 }
 
 #[test]
-fn auto_says_nothing_but_which_device_draws() {
+fn auto_says_nothing_but_which_device_draws_and_what_is_made() {
     let dir = workplace();
     let mut command = Command::new(env!("CARGO_BIN_EXE_planecast"));
     command.args(["render", "hills.pcast", "-o", "p.png", "--size", "8x8"]).current_dir(dir.path());
@@ -143,7 +143,9 @@ fn auto_says_nothing_but_which_device_draws() {
     }
     let output = command.output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && said.starts_with("drawing on the ") && said.lines().count() == 1, "{said}");
+    let said: Vec<&str> = said.lines().collect();
+    assert!(output.status.success() && said.len() == 2 && said[0].starts_with("drawing on the "), "{said:?}");
+    assert!(said[1].starts_with("p.png: "), "{said:?}");
 }
 
 #[test]
@@ -243,4 +245,244 @@ fn render_and_fly_take_broken_tiles_as_empty_where_asked() {
         assert!(output.status.success() && text.contains("note: taken as empty: "), "{text}");
     }
     assert!(dir.path().join("p.png").exists() && names(&dir.path().join("flight")).len() >= 2);
+}
+
+/// Runs a command by a shell, its standard error and output as the line says.
+#[cfg(unix)]
+fn shell(dir: &Path, line: &str) -> Output {
+    Command::new("sh").args(["-c", line]).env("planecast", env!("CARGO_BIN_EXE_planecast")).current_dir(dir).output().unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn messages_that_nobody_hears_lose_no_work() {
+    let dir = workplace();
+    for to in ["2>/dev/full", "2>&-", "2>&1 | true"] {
+        for (file, line) in [
+            ("s.pcast", "encode procedural:rocks?size=48 -o s.pcast"),
+            ("p.png", "render hills.pcast -o p.png --size 8x8 --device cpu --eye -9,90,-9 --pitch 80"),
+            ("v.raw", "decode hills.pcast -o v.raw"),
+            ("f/000001.png", "fly hills.pcast -o f --frames 2 --size 8x8 --device cpu"),
+            ("q.png", "render procedural:rocks?size=48 -o q.png --size 8x8 --device cpu"),
+        ] {
+            let output = shell(dir.path(), &format!("trap '' PIPE; $planecast {line} {to}"));
+            assert!(output.status.success(), "{line} {to}: {output:?}");
+            // A pipe's first command may end after its last.
+            let there = (0..500).any(|_| {
+                std::thread::sleep(std::time::Duration::from_millis(10));
+                dir.path().join(file).exists()
+            });
+            assert!(there, "{line} {to}");
+        }
+        _ = fs::remove_dir_all(dir.path().join("f"));
+        for file in ["s.pcast", "p.png", "v.raw", "q.png"] {
+            _ = fs::remove_file(dir.path().join(file));
+        }
+    }
+    let output = shell(dir.path(), "$planecast info nosuch.pcast 2>/dev/full");
+    assert_eq!(output.status.code(), Some(1));
+    for line in ["render hills.pcast -o - --size 64x64 --device cpu", "info hills.pcast", "man", "completions zsh"] {
+        let output = shell(dir.path(), &format!("{{ $planecast {line}; echo $? >status; }} | true"));
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(said.lines().all(|l| !l.starts_with("planecast: ")), "{line}: {said}");
+        let status = (0..500).find_map(|_| {
+            std::thread::sleep(std::time::Duration::from_millis(10));
+            fs::read_to_string(dir.path().join("status")).ok().filter(|s| !s.is_empty())
+        });
+        assert_eq!(status.as_deref(), Some("0\n"), "{line}");
+        fs::remove_file(dir.path().join("status")).unwrap();
+    }
+}
+
+#[test]
+fn encode_that_plans_writes_no_scene() {
+    let dir = workplace();
+    let plan = succeeds(dir.path(), "encode procedural:hills?size=64 --plan -o s.pcast");
+    let plan: serde_json::Value = serde_json::from_str(&plan).unwrap();
+    assert_eq!((plan["dims"][0].as_u64(), plan["tiles"].as_u64()), (Some(64), Some(1)));
+    assert_eq!(names(dir.path()), ["hills.pcast"]);
+}
+
+#[test]
+fn render_writes_what_the_name_says() {
+    let dir = workplace();
+    let how = "--size 40x30 --device cpu --eye -5,30,-2 --yaw 140 --pitch -40";
+    for (name, format) in [("a.png", image::ImageFormat::Png), ("a.jpg", image::ImageFormat::Jpeg), ("b.JPEG", image::ImageFormat::Jpeg)] {
+        succeeds(dir.path(), &format!("render hills.pcast -o {name} {how}"));
+        let bytes = fs::read(dir.path().join(name)).unwrap();
+        assert_eq!(image::guess_format(&bytes).unwrap(), format, "{name}");
+        let picture = image::load_from_memory(&bytes).unwrap().into_rgb8();
+        let right = image::open(dir.path().join("a.png")).unwrap().into_rgb8();
+        let far = right.as_raw().iter().zip(picture.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
+        assert!(picture.dimensions() == (40, 30) && far < 12 * right.as_raw().len() as u64, "{name}: {far}");
+    }
+    for name in ["c.bmp", "c", "c.pcast", "c.png.txt"] {
+        let (status, said) = fails(dir.path(), &format!("render nosuch.pcast -o {name} {how}"));
+        assert!(status == 2 && said.contains("cannot write") && said.contains("name a .png or .jpg file"), "{said}");
+    }
+    let output = planecast(dir.path(), &format!("render hills.pcast -o - {how}"));
+    assert_eq!(output.stdout, fs::read(dir.path().join("a.png")).unwrap());
+    assert_eq!(names(dir.path()), ["a.jpg", "a.png", "b.JPEG", "hills.pcast"]);
+}
+
+#[test]
+fn path_files_may_begin_with_a_byte_order_mark() {
+    let dir = workplace();
+    let keys = r#"[{"t":0,"eye":[1,30,3],"yaw":0,"pitch":-5},{"t":1,"eye":[9,30,3],"yaw":9,"pitch":-5}]"#;
+    fs::write(dir.path().join("path.json"), format!("\u{feff}{keys}")).unwrap();
+    succeeds(dir.path(), "fly hills.pcast -o frames --path path.json --frames 2 --size 8x8 --device cpu");
+    assert!(dir.path().join("frames/000001.png").exists());
+}
+
+#[test]
+fn commands_take_inputs_as_well_as_scenes() {
+    let dir = workplace();
+    let volume: Vec<u8> = (0..20 * 30 * 10u32).map(|i| u8::from(i % 20 >= 5)).collect();
+    fs::write(dir.path().join("v.raw"), volume).unwrap();
+    let input = "v.raw --dims 20,30,10";
+    let how = "--size 40x30 --device cpu";
+    succeeds(dir.path(), &format!("encode {input} -o v.pcast"));
+    succeeds(dir.path(), &format!("render v.pcast -o a.png {how}"));
+    succeeds(dir.path(), &format!("render {input} -o b.png {how}"));
+    assert_eq!(fs::read(dir.path().join("a.png")).unwrap(), fs::read(dir.path().join("b.png")).unwrap());
+    succeeds(dir.path(), &format!("fly {input} -o frames --frames 2 {how}"));
+    let solid = |x: u32| succeeds(dir.path(), &format!("query v.raw {x} 3 3 --dims 20,30,10"));
+    assert_eq!([solid(4), solid(5)], [false, true].map(|solid| format!("{{\"solid\":{solid},\"color\":null}}\n")));
+    let hit = succeeds(dir.path(), &format!("pick {input} --from -1,3.5,3.5 --dir 1,0,0"));
+    assert!(hit.contains("\"voxel\":[5,3,3],\"distance\":6.0"), "{hit}");
+    let info = |what: &str| -> serde_json::Value {
+        serde_json::from_str(&succeeds(dir.path(), &format!("info {what} --json"))).unwrap()
+    };
+    assert_eq!(info(input)["content_hash"], info("v.pcast")["content_hash"]);
+    // Options of the reader whose names are taken are there under others.
+    assert!(fails(dir.path(), &format!("render {input} -o c.png --input-size x")).1.contains("--input-size"));
+    assert!(fails(dir.path(), &format!("render {input} -o c.png --dtype u7")).1.contains("possible values: u8"));
+    assert!(fails(dir.path(), &format!("render {input} -o c.png --dims 2,x,3")).1.contains("three whole numbers"));
+    assert_eq!(names(dir.path()), ["a.png", "b.png", "frames", "hills.pcast", "v.pcast", "v.raw"]);
+}
+
+#[test]
+fn planecast_and_a_file_opens_it_and_without_a_display_draws_it() {
+    let dir = workplace();
+    let run = |line: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_planecast"));
+        ["DISPLAY", "WAYLAND_DISPLAY"].iter().for_each(|name| _ = command.env_remove(name));
+        command.args(line.split_whitespace()).current_dir(dir.path()).output().unwrap()
+    };
+    let output = run("hills.pcast --size 40x30 --device cpu");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("drawing hills.png instead"), "{said}");
+    let last = said.lines().last().unwrap();
+    assert!(last.starts_with("hills.png: ") && last.contains(" KiB, ") && last.ends_with("40 x 30 pixels"), "{said}");
+    assert!(run("--quiet procedural:rocks?size=32 --size 8x8 --device cpu").stderr.is_empty());
+    assert_eq!(names(dir.path()), ["hills.pcast", "hills.png", "rocks.png"]);
+    let output = run("");
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && said.lines().filter(|l| l.starts_with("  planecast ")).count() == 5, "{said}");
+    for (line, what) in [
+        ("rendr hills.pcast", "a similar subcommand exists: 'render'"),
+        ("render hills.pcast -o a.png --shadng full", "a similar argument exists: '--shading'"),
+        ("nosuch.tif", "nosuch.tif: there is no such file, and no command of this name"),
+    ] {
+        let (status, said) = fails(dir.path(), line);
+        assert!(status == 2 && said.contains(what), "{said}");
+    }
+}
+
+#[test]
+fn help_begins_with_examples_and_the_rest_is_made_of_it() {
+    let dir = workplace();
+    let help = succeeds(dir.path(), "--help");
+    let commands = help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.is_empty());
+    let commands: Vec<&str> = commands.filter_map(|l| l.split_whitespace().next()).filter(|c| *c != "help").collect();
+    assert!(commands.len() >= 12, "{help}");
+    for command in &commands {
+        let help = succeeds(dir.path(), &format!("{command} --help"));
+        assert!(help.starts_with(&format!("Examples:\n  planecast {command}")), "{help}");
+    }
+    let render = succeeds(dir.path(), "render --help");
+    let groups: Vec<&str> = render.lines().filter(|l| l.ends_with(':') && !l.starts_with(' ')).collect();
+    for group in ["Camera:", "Picture:", "Quality:", "Expert:", "Reading an input that is no scene:"] {
+        assert!(groups.contains(&group), "{groups:?}");
+    }
+    assert!(succeeds(dir.path(), "--version").contains("built with "));
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        assert!(succeeds(dir.path(), &format!("completions {shell}")).contains("--look-at"), "{shell}");
+    }
+    succeeds(dir.path(), "man -o man");
+    let pages = names(&dir.path().join("man"));
+    assert_eq!(pages.len(), commands.len() + 1, "{pages:?}");
+    let page = fs::read_to_string(dir.path().join("man/planecast-render.1")).unwrap();
+    assert!(page.contains("planecast render knight.vox") && page.contains("look\\-at"), "{page}");
+}
+
+#[test]
+fn scenes_keep_what_they_were_made_of() {
+    let dir = workplace();
+    let name = "procedural:terrain?size=300&seed=3";
+    succeeds(dir.path(), &format!("encode {name} -o a.pcast"));
+    succeeds(dir.path(), &format!("encode {name} -o p0 --tiles 0..2"));
+    succeeds(dir.path(), &format!("encode {name} -o p1 --tiles 2..4"));
+    succeeds(dir.path(), "merge p1 p0 -o b.pcast");
+    let bytes = fs::read(dir.path().join("a.pcast")).unwrap();
+    assert_eq!(fs::read(dir.path().join("b.pcast")).unwrap(), bytes);
+    let info = |file: &str| -> serde_json::Value {
+        serde_json::from_str(&succeeds(dir.path(), &format!("info {file} --json"))).unwrap()
+    };
+    let found = info("a.pcast");
+    assert_eq!(found["about"]["source"], name, "{found}");
+    assert_eq!(found["content_hash"], info(name)["content_hash"]);
+    assert!(info("hills.pcast").get("about").is_none());
+    // One byte of what is kept, changed.
+    let mut wrong = bytes.clone();
+    wrong[64 + 16 + 5] ^= 1;
+    fs::write(dir.path().join("wrong.pcast"), wrong).unwrap();
+    let (status, said) = fails(dir.path(), "verify wrong.pcast");
+    assert!(status == 1 && said.contains("byte 64: metadata: a section does not match its checksum"), "{said}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn limits_of_memory_end_in_words() {
+    let dir = workplace();
+    for line in [
+        "encode procedural:terrain?size=2048 -o s.pcast --threads 1",
+        "render procedural:terrain?size=1024 -o p.png --size 1600x1200 --device cpu",
+        "fly hills.pcast -o frames --frames 2 --size 4096x4096 --device cpu",
+        "info procedural:rocks?size=256",
+    ] {
+        let mut refused = 0;
+        for kib in [60_000, 100_000, 140_000, 200_000, 300_000, 400_000] {
+            let output = shell(dir.path(), &format!("ulimit -c 0; ulimit -v {kib}; exec $planecast {line}"));
+            let said = String::from_utf8_lossy(&output.stderr);
+            let status = output.status.code();
+            assert!(matches!(status, Some(0 | 1 | 127)), "{line} in {kib} KiB: {:?}: {said}", output.status);
+            if status == Some(1) {
+                refused += 1;
+                assert!(said.contains("emory") && !said.contains("please report"), "{line} in {kib} KiB: {said}");
+            }
+            _ = fs::remove_dir_all(dir.path().join("frames"));
+        }
+        assert!(refused > 0, "{line}");
+        for file in names(dir.path()) {
+            assert!(["hills.pcast", "s.pcast", "p.png"].contains(&&*file), "{line} leaves {file}");
+        }
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_program_leaves_nothing_that_the_same_command_does_not_tidy_away() {
+    let dir = workplace();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_planecast"));
+    let line = "encode procedural:terrain?size=2048 -o s.pcast --threads 1";
+    let mut child = command.args(line.split_whitespace()).current_dir(dir.path()).stderr(Stdio::null()).spawn().unwrap();
+    while names(dir.path()).len() < 2 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended too soon");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    succeeds(dir.path(), "encode procedural:terrain?size=64 -o s.pcast");
+    assert_eq!(names(dir.path()), ["hills.pcast", "s.pcast"]);
 }

@@ -27,6 +27,8 @@ pub enum Kind {
 #[serde(default)]
 pub struct About {
     pub kind: Option<Kind>,
+    /// The input's name, without its folder or host.
+    pub source: String,
     /// Name of the format, as its own text has it: "GeoTIFF", "NIfTI-2".
     pub format: String,
     /// How the axes of the source became x, y (up) and z of the world.
@@ -53,24 +55,35 @@ impl About {
     pub fn new(kind: Kind, format: impl Into<String>) -> About {
         About { kind: Some(kind), format: format.into(), ..About::default() }
     }
+
+    /// Takes out what would not show as text: who made the file may have put commands for terminals there.
+    pub(crate) fn clean(&mut self) {
+        let About { kind: _, source, format, axes, voxel: _, unit, crs, affine: _, values: _, rule, left_out } = self;
+        let texts = [source, format, axes, unit, crs, rule].into_iter().chain(left_out);
+        texts.for_each(|text| text.retain(|c| !c.is_control()));
+    }
+}
+
+impl Kind {
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Terrain => "terrain",
+            Kind::Volume => "volume",
+            Kind::Labels => "labels",
+            Kind::Mesh => "mesh",
+            Kind::Points => "points",
+            Kind::Model => "model",
+            Kind::Procedural => "procedural",
+        }
+    }
 }
 
 /// One line, and a second one where something was left out.
 impl fmt::Display for About {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "read as {}", self.format)?;
-        let kind = match self.kind {
-            None => "",
-            Some(Kind::Terrain) => "terrain",
-            Some(Kind::Volume) => "volume",
-            Some(Kind::Labels) => "labels",
-            Some(Kind::Mesh) => "mesh",
-            Some(Kind::Points) => "points",
-            Some(Kind::Model) => "model",
-            Some(Kind::Procedural) => "procedural",
-        };
-        if !kind.is_empty() {
-            write!(f, " ({kind})")?;
+        if let Some(kind) = self.kind {
+            write!(f, " ({})", kind.name())?;
         }
         let mut parts: Vec<String> = Vec::new();
         parts.extend([&self.axes].into_iter().filter(|s| !s.is_empty()).cloned());
@@ -96,7 +109,7 @@ impl fmt::Display for About {
 }
 
 /// A number in at most seven digits.
-struct Short(f64);
+pub(crate) struct Short(pub f64);
 
 impl fmt::Display for Short {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {

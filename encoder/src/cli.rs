@@ -11,14 +11,15 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::decode::decode_to_raw;
 use crate::encode::{self, EncodeOptions, Summary, Watch};
-use crate::pieces::{Grey, Pieces};
+use crate::open::{self, Opened};
+use crate::pieces::{Grey, Pieces, named};
 use crate::remote::{self, Here, Output};
 use crate::source::{self, ReadOptions};
 use crate::verify::Depth;
 use crate::write::{keep_input, resolved};
 use crate::{
     BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, guard, info, memory,
-    verify,
+    say, verify,
 };
 
 /// Exit status where the input, the scene or the machine was at fault.
@@ -71,7 +72,7 @@ pub struct EncodeArgs {
     /// Say all that is known of how the input was read
     #[arg(long)]
     pub explain: bool,
-    /// Only print what there is to do, as JSON: size, and number of tiles of level 0
+    /// Only print what there is to do, as JSON: size, and number of tiles of level 0; no scene is written
     #[arg(long)]
     pub plan: bool,
     /// Threads to encode with [default: one a core]
@@ -90,7 +91,9 @@ fn tile_range(s: &str) -> Result<TileRange, String> {
 
 impl EncodeArgs {
     pub fn run(&self) -> Result<()> {
-        let Some(output) = &self.output else { return in_pool(self.threads, || self.print_plan()) };
+        let Some(output) = self.output.as_ref().filter(|_| !self.plan) else {
+            return in_pool(self.threads, || self.print_plan());
+        };
         for input in [Some(&self.input), self.read.colors.as_ref()].into_iter().flatten() {
             keep_input(input, "--output", output)?;
         }
@@ -111,9 +114,10 @@ impl EncodeArgs {
         let begun = Instant::now();
         let output = Output::new(output)?;
         let mut world = source::open_pieces(&self.input, &self.read)?;
-        self.tell(&*world);
+        tell_of(&*world, self.explain);
+        world = named(world, &self.input);
         if !world.colored() && matches!(self.color, Some(ColorMode::Run | ColorMode::Voxel)) {
-            eprintln!("note: the input has no colours: all voxels are grey");
+            crate::note!("note: the input has no colours: all voxels are grey");
             world = Box::new(Grey(world));
         }
         let opts = EncodeOptions {
@@ -130,21 +134,10 @@ impl EncodeArgs {
             None => encode::encode(&*world, &opts, output.file(), watch),
             Some(TileRange(from, to)) => encode::encode_part(&*world, &opts, from..to, output.file(), watch),
         })?;
+        let made = Made::new(self.output.as_deref(), output.file());
         output.finish()?;
-        report(&summary, if self.tiles.is_some() { 0 } else { bytes }, begun);
+        report(made, &summary, if self.tiles.is_some() { 0 } else { bytes }, begun);
         Ok(())
-    }
-
-    /// How the input was read, in a line or two; with `--explain`, and of readers that do not say it, all that is known.
-    fn tell(&self, world: &dyn Pieces) {
-        let about = world.about();
-        let known = !about.format.is_empty();
-        if known {
-            eprintln!("{about}");
-        }
-        if self.explain || !known {
-            world.notes().iter().for_each(|note| eprintln!("note: {note}"));
-        }
     }
 
     /// Of all that the scene depends on, as far as it is the same on every machine.
@@ -171,6 +164,123 @@ impl EncodeArgs {
     }
 }
 
+/// How an input was read, in a line or two; with `explain`, and of readers that do not say it, all that is known.
+fn tell_of(world: &dyn Pieces, explain: bool) {
+    let about = world.about();
+    let known = !about.format.is_empty();
+    if known {
+        crate::note!("{about}");
+    }
+    if explain || !known {
+        world.notes().iter().for_each(|note| crate::note!("note: {note}"));
+    }
+}
+
+/// The options of [`ReadOptions`], for a command that has others, too: one whose name the command has taken already is called
+/// `--input-…`. To be flattened behind all others.
+#[derive(Clone, Debug, Default)]
+pub struct InputArgs {
+    pub read: ReadOptions,
+}
+
+impl InputArgs {
+    const HEADING: &str = "Reading an input that is no scene";
+
+    fn own() -> clap::Command {
+        <ReadOptions as clap::Args>::augment_args(clap::Command::new("input"))
+    }
+
+    /// Ids of the stand-in for an option: where its name is free, and where it is taken. A command is made once, and ids are
+    /// to live as long as it.
+    fn ids(long: &str) -> [&'static str; 2] {
+        [format!("input option {long}"), format!("input-{long}")].map(|id| &*id.leak())
+    }
+}
+
+impl clap::Args for InputArgs {
+    fn augment_args(mut cmd: clap::Command) -> clap::Command {
+        for arg in InputArgs::own().get_arguments() {
+            let Some(long) = arg.get_long() else { continue };
+            let taken = cmd.get_arguments().any(|a| a.get_long() == Some(long));
+            let id = InputArgs::ids(long)[usize::from(taken)];
+            let mut stand_in = clap::Arg::new(id)
+                .long(if taken { id } else { long.to_owned().leak() })
+                .action(arg.get_action().clone())
+                .help_heading(InputArgs::HEADING);
+            if let Some(help) = arg.get_help() {
+                stand_in = stand_in.help(help.clone());
+            }
+            if arg.get_action().takes_values() {
+                let names = arg.get_value_names().unwrap_or_default().iter().map(|name| &*name.as_str().to_owned().leak());
+                stand_in = stand_in.value_names(names.collect::<Vec<&'static str>>());
+                let values = arg.get_possible_values();
+                stand_in = match values.is_empty() {
+                    true => stand_in.value_parser(clap::builder::ValueParser::os_string()),
+                    false => stand_in.value_parser(clap::builder::PossibleValuesParser::new(values)),
+                };
+                if let Some(n) = arg.get_num_args() {
+                    stand_in = stand_in.num_args(n);
+                }
+            }
+            cmd = cmd.arg(stand_in);
+        }
+        cmd
+    }
+
+    fn augment_args_for_update(cmd: clap::Command) -> clap::Command {
+        InputArgs::augment_args(cmd)
+    }
+}
+
+impl clap::FromArgMatches for InputArgs {
+    /// Types them again, as `encode` takes them: checks and errors are the same.
+    fn from_arg_matches(matches: &clap::ArgMatches) -> Result<InputArgs, clap::Error> {
+        let mut own = InputArgs::own();
+        let mut line = vec![std::ffi::OsString::from("input")];
+        let args: Vec<clap::Arg> = own.get_arguments().cloned().collect();
+        for arg in &args {
+            let Some(long) = arg.get_long() else { continue };
+            let ids = InputArgs::ids(long);
+            let Some(taken) = ids.iter().position(|id| matches.try_contains_id(id).is_ok()) else { continue };
+            let id = ids[taken];
+            let shown = if taken == 1 { id } else { long };
+            if taken == 1 {
+                own = own.mut_arg(arg.get_id(), |a| a.long(id));
+            }
+            if matches.value_source(id) != Some(clap::parser::ValueSource::CommandLine) {
+                continue;
+            }
+            if !arg.get_action().takes_values() {
+                line.push(format!("--{shown}").into());
+                continue;
+            }
+            for values in matches.get_raw_occurrences(id).into_iter().flatten() {
+                for (i, value) in values.enumerate() {
+                    let mut word = std::ffi::OsString::new();
+                    if i == 0 {
+                        word.push(format!("--{shown}="));
+                    }
+                    word.push(value);
+                    line.push(word);
+                }
+            }
+        }
+        let found = own.disable_help_flag(true).try_get_matches_from(line)?;
+        Ok(InputArgs { read: <ReadOptions as clap::FromArgMatches>::from_arg_matches(&found)? })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &clap::ArgMatches) -> Result<(), clap::Error> {
+        *self = <InputArgs as clap::FromArgMatches>::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// A scene, or anything else encoded as `encode` would, with a bar on the terminal and a line or two on how it was read.
+pub fn open(name: &Path, read: &ReadOptions) -> Result<Opened> {
+    let watch = Arc::new(Watch::default());
+    with_bar(&watch, 0, || open::open(name, read, &watch, &mut |world| tell_of(world, false)))
+}
+
 /// Runs `work` with that many threads; None: one a core.
 fn in_pool<T: Send>(threads: Option<u16>, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     let Some(n) = threads else { return work() };
@@ -193,22 +303,33 @@ fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Resul
                 Some(_) => guard::leave(1),
                 None => {
                     guard::last_word();
-                    eprintln!("planecast: interrupted; what it has finished stays");
+                    crate::say!("planecast: interrupted; what it has finished stays");
                     guard::leave(1);
                 }
             }
         };
         if let Err(e) = ctrlc::set_handler(stop) {
-            eprintln!("note: Ctrl-C will not be caught: {e}");
+            crate::note!("note: Ctrl-C will not be caught: {e}");
         }
     });
+    with_bar(&watch, input_bytes, || work(&watch))
+}
+
+/// A bar on the terminal while work is under way.
+fn with_bar<T>(watch: &Watch, input_bytes: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
     let style = "{percent:>3} % {wide_bar} {elapsed} gone, {eta} left, {msg}";
-    let bar = ProgressBar::new(1).with_style(ProgressStyle::with_template(style).expect("a template that parses"));
+    let bar = if say::is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(1) };
+    let bar = bar.with_style(ProgressStyle::with_template(style).expect("a template that parses"));
     let begun = Instant::now();
     let done = AtomicBool::new(false);
     let outcome = std::thread::scope(|scope| {
         scope.spawn(|| {
             while !done.load(Ordering::Relaxed) && !bar.is_hidden() {
+                if watch.total.load(Ordering::Relaxed) == 0 {
+                    // Nothing is known to do yet, and there may be nothing.
+                    std::thread::sleep(Duration::from_millis(20));
+                    continue;
+                }
                 let (columns, total) = (watch.columns.load(Ordering::Relaxed), watch.total.load(Ordering::Relaxed));
                 bar.set_length(total.max(1));
                 bar.set_position(columns);
@@ -223,7 +344,7 @@ fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Resul
                 std::thread::sleep(Duration::from_millis(100));
             }
         });
-        let outcome = work(&watch);
+        let outcome = work();
         done.store(true, Ordering::Relaxed);
         outcome
     });
@@ -231,9 +352,32 @@ fn watched<T>(input_bytes: u64, work: impl FnOnce(&Watch) -> Result<T>) -> Resul
     outcome
 }
 
-fn report(summary: &Summary, input_bytes: u64, begun: Instant) {
+/// A file that a command made, as a person is told of it.
+pub struct Made(String);
+
+impl Made {
+    /// `name` is what was typed, `file` where it lies.
+    pub fn new(name: Option<&Path>, file: &Path) -> Made {
+        let name = name.unwrap_or(file).display();
+        match std::fs::metadata(file) {
+            Ok(m) if m.is_file() => Made(format!("{name}: {}", memory::display(m.len()))),
+            // A folder of frames.
+            _ => Made(format!("{name}: made")),
+        }
+    }
+}
+
+impl Made {
+    /// Path, size and time on one line, and what else there is to say.
+    pub fn tell(&self, begun: Instant, more: &str) {
+        let seconds = begun.elapsed().as_secs_f64();
+        crate::note!("{}, {seconds:.2} s{}{more}", self.0, if more.is_empty() { "" } else { "; " });
+    }
+}
+
+fn report(made: Made, summary: &Summary, input_bytes: u64, begun: Instant) {
     let seconds = begun.elapsed().as_secs_f64();
-    let mut text = format!("{} tiles, {} runs at level 0, {seconds:.2} s", summary.tiles, summary.runs);
+    let mut text = format!("{} tiles, {} runs at level 0", summary.tiles, summary.runs);
     if input_bytes > 0 {
         text += &format!(", {:.2} GB/s of {}", input_bytes as f64 / seconds / 1e9, memory::display(input_bytes));
     }
@@ -243,7 +387,7 @@ fn report(summary: &Summary, input_bytes: u64, begun: Instant) {
     if summary.resumed > 0 {
         text += &format!("; {} tiles were there already", summary.resumed);
     }
-    eprintln!("{text}");
+    made.tell(begun, &text);
 }
 
 /// Join parts made by `encode --tiles` to the scene that one encode would give
@@ -269,8 +413,9 @@ impl MergeArgs {
         let begun = Instant::now();
         let (output, parts) = (Output::new(&self.output)?, Here::bring(&self.parts)?);
         let summary = watched(0, |watch| encode::merge(&parts.files, self.memory, self.zstd, output.file(), watch))?;
+        let made = Made::new(Some(&self.output), output.file());
         output.finish()?;
-        report(&Summary { resumed: 0, ..summary }, 0, begun);
+        report(made, &Summary { resumed: 0, ..summary }, 0, begun);
         Ok(())
     }
 }
@@ -300,7 +445,7 @@ impl VerifyArgs {
         let found = verify::verify(&file, depth);
         let seconds = begun.elapsed().as_secs_f64();
         let rate = file.file_len() as f64 / seconds / 1e9;
-        found.faults.iter().for_each(|fault| eprintln!("{fault}"));
+        found.faults.iter().for_each(|fault| crate::say!("{fault}"));
         match found.faults.len() {
             0 => print(&format!("{} tiles are right, {seconds:.2} s, {rate:.2} GB/s\n", found.tiles)),
             n => Err(Error::format(
@@ -327,7 +472,10 @@ pub struct DecodeArgs {
 impl DecodeArgs {
     pub fn run(&self) -> Result<()> {
         keep_input(&self.scene, "--output", &self.output)?;
-        decode_to_raw(&read_scene(&PcastFile::open(&self.scene)?, self.skip_broken)?, &self.output)
+        let begun = Instant::now();
+        decode_to_raw(&read_scene(&PcastFile::open(&self.scene)?, self.skip_broken)?, &self.output)?;
+        Made::new(None, &self.output).tell(begun, "");
+        Ok(())
     }
 }
 
@@ -337,23 +485,25 @@ pub fn read_scene(file: &PcastFile, skip_broken: bool) -> Result<Scene> {
         return file.read_scene();
     }
     let (scene, faults) = file.read_scene_without_broken()?;
-    faults.iter().for_each(|fault| eprintln!("note: taken as empty: {fault}"));
+    faults.iter().for_each(|fault| crate::say!("note: taken as empty: {fault}"));
     Ok(scene)
 }
 
-/// Show what a scene holds and how many bytes it takes
+/// Show what a scene is, what it holds and how many bytes it takes
 #[derive(Clone, Debug, clap::Args)]
 pub struct InfoArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
     pub scene: PathBuf,
     /// As one JSON object
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub input: InputArgs,
 }
 
 impl InfoArgs {
     pub fn run(&self) -> Result<()> {
-        let info = info::info(&PcastFile::open(&self.scene)?)?;
+        let info = info::info(&open(&self.scene, &self.input.read)?.file)?;
         print(&if self.json { json(&info) } else { info.to_string() })
     }
 }
@@ -361,7 +511,7 @@ impl InfoArgs {
 /// Look up one voxel of level 0
 #[derive(Clone, Debug, clap::Args)]
 pub struct QueryArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
     pub scene: PathBuf,
     /// Voxel; outside the world is air
     #[arg(allow_negative_numbers = true, value_parser = whole)]
@@ -370,6 +520,8 @@ pub struct QueryArgs {
     pub y: i64,
     #[arg(allow_negative_numbers = true, value_parser = whole)]
     pub z: i64,
+    #[command(flatten)]
+    pub input: InputArgs,
 }
 
 fn whole(s: &str) -> Result<i64, String> {
@@ -386,7 +538,7 @@ struct QueryAnswer {
 
 impl QueryArgs {
     pub fn run(&self) -> Result<()> {
-        let voxel = PcastFile::open(&self.scene)?.query(self.x, self.y, self.z)?;
+        let voxel = open(&self.scene, &self.input.read)?.file.query(self.x, self.y, self.z)?;
         let color = voxel.color.map(|[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}"));
         print(&json(&QueryAnswer { solid: voxel.solid, color }))
     }

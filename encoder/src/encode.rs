@@ -7,6 +7,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{File, OpenOptions};
+use std::io::{BufWriter, Seek, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -21,7 +22,8 @@ use crate::pieces::Pieces;
 use crate::read::Modes;
 use crate::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
 use crate::{
-    BuildOptions, ColorMode, Colors, Columns, Error, Features, Input, Level, Result, Rgb, exposure, memory, mips,
+    About, BuildOptions, ColorMode, Colors, Columns, Error, Features, Input, Level, PcastFile, Result, Rgb, exposure,
+    memory, mips, scratch,
 };
 
 /// How to encode.
@@ -77,6 +79,21 @@ pub fn encode(world: &dyn Pieces, opts: &EncodeOptions, output: &Path, watch: &W
     logged(world, plan, opts, output, watch, |scene, _| scene.assemble(output, opts.compress))
 }
 
+/// The same into a file without a name, in the folder for temporary files: nothing is left of it once it is closed. `name` is
+/// what errors call it.
+pub fn encode_unnamed(world: &dyn Pieces, opts: &EncodeOptions, name: &Path, watch: &Watch) -> Result<PcastFile> {
+    let plan = plan(world, opts, None)?;
+    let scratch = || scratch::file().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e));
+    let mut scene = Tiles::create(name, scratch()?, plan, world.about())?;
+    scene.encode(world, opts.memory.unwrap_or_else(default_memory), watch)?;
+    let file = scratch()?;
+    let mut out = BufWriter::with_capacity(1 << 20, &file);
+    scene.assemble_to(&mut out, name, opts.compress)?;
+    out.flush().map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e))?;
+    drop(out);
+    PcastFile::from_file(name, &file)
+}
+
 /// Encodes some tiles of level 0 to a part of a scene, which is written whole or not at all.
 pub fn encode_part(
     world: &dyn Pieces,
@@ -112,7 +129,7 @@ fn logged(
     let (file, fresh) = lock_log(&log, output)?;
     let mut scene = match opts.resume && !fresh {
         true => Tiles::resume(&log, file, plan, output)?,
-        false => Tiles::create(&log, file, plan)?,
+        false => Tiles::create(&log, file, plan, world.about())?,
     };
     let resumed = scene.stored.len() as u64;
     let memory = opts.memory.unwrap_or_else(default_memory);
@@ -186,7 +203,7 @@ pub fn merge(
     let log_path = log_path(output);
     let (file, _) = lock_log(&log_path, output)?;
     scene.log = scene.parts.len();
-    scene.parts.push(Part::create(&log_path, file, scene.plan)?);
+    scene.parts.push(Part::create(&log_path, file, scene.plan, About::default())?);
     let memory = memory.unwrap_or_else(default_memory);
     let done = scene.count(watch).levels(memory, watch).and_then(|()| scene.assemble(output, compress));
     std::fs::remove_file(&log_path).map_err(|e| Error::io(&log_path, "remove", e))?;
@@ -256,9 +273,9 @@ impl Tiles {
         Tiles { plan, grids, parts: Vec::new(), log: 0, stored: BTreeMap::new(), cache: Cache::default() }
     }
 
-    fn create(path: &Path, file: File, plan: Plan) -> Result<Tiles> {
+    fn create(path: &Path, file: File, plan: Plan, about: About) -> Result<Tiles> {
         let mut tiles = Tiles::new(plan);
-        tiles.parts.push(Part::create(path, file, plan)?);
+        tiles.parts.push(Part::create(path, file, plan, about)?);
         Ok(tiles)
     }
 
@@ -546,25 +563,29 @@ impl Tiles {
 
     /// Puts all tiles in the order of the directory.
     fn assemble(&self, output: &Path, compress: Option<i32>) -> Result<()> {
-        write_atomic(output, |out| {
-            let Plan { dims, modes, mip_rule, .. } = self.plan;
-            let mut scene = SceneWriter::new(out, output, dims, modes, mip_rule)?;
-            let all: Vec<&(usize, Stored)> = self.stored.values().collect();
-            for some in all.chunks(64) {
-                let blobs: Vec<(TileEntry, Vec<u8>)> = some
-                    .par_iter()
-                    .map(|(part, stored)| {
-                        let (entry, blob) = (stored.entry, self.parts[*part].blob(stored)?);
-                        Ok(match compress {
-                            Some(level) => compressed(entry, blob, level),
-                            None => (entry, blob),
-                        })
+        write_atomic(output, |out| self.assemble_to(out, output, compress))
+    }
+
+    fn assemble_to(&self, out: &mut (impl Write + Seek), output: &Path, compress: Option<i32>) -> Result<()> {
+        let Plan { dims, modes, mip_rule, .. } = self.plan;
+        // Parts of one scene say the same.
+        let about = self.parts[0].about();
+        let mut scene = SceneWriter::new(out, output, dims, modes, mip_rule, about)?;
+        let all: Vec<&(usize, Stored)> = self.stored.values().collect();
+        for some in all.chunks(64) {
+            let blobs: Vec<(TileEntry, Vec<u8>)> = some
+                .par_iter()
+                .map(|(part, stored)| {
+                    let (entry, blob) = (stored.entry, self.parts[*part].blob(stored)?);
+                    Ok(match compress {
+                        Some(level) => compressed(entry, blob, level),
+                        None => (entry, blob),
                     })
-                    .collect::<Result<_>>()?;
-                scene.push(blobs)?;
-            }
-            scene.finish()
-        })
+                })
+                .collect::<Result<_>>()?;
+            scene.push(blobs)?;
+        }
+        scene.finish()
     }
 }
 

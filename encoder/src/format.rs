@@ -43,6 +43,24 @@
 //!
 //! A new major version is one that old readers must refuse; a new minor version adds what they may ignore.
 //!
+//! # Metadata
+//!
+//! Minor version 1 has sections between the header and the directory, which then does not follow at once; a file that has
+//! nothing to say in them is of minor version 0. No section changes what is solid or coloured, and [`crate::info::content_hash`]
+//! knows nothing of them. Readers pass over sections whose tag they do not know.
+//!
+//! ```text
+//! | Header | Section ]-[ Section ]-[ TileEntry …        Section
+//!                                                         tag      u8 × 4   0
+//!                                                         len      u32      4   of the bytes that follow
+//!                                                         checksum u64      8   xxh3-64 of them
+//!                                                         bytes    u8 × len 16
+//! ```
+//!
+//! | tag | bytes |
+//! |---|---|
+//! | `ABUT` | [`About`](crate::About) as one JSON object in UTF-8, at most 1 MiB: what was encoded, and how it was read. Fields may be left out or be new |
+//!
 //! # Blob
 //!
 //! ```text
@@ -231,6 +249,8 @@ pub const VERSION: [u16; 2] = [1, 0];
 pub const VERSION_COMPRESSED: [u16; 2] = [2, 0];
 /// Of files with specialized tiles.
 pub const VERSION_SPECIALIZED: [u16; 2] = [3, 0];
+/// Minor version of files with metadata.
+pub const MINOR_METADATA: u16 = 1;
 /// Columns of a tile along x and z.
 pub const TILE: u32 = 256;
 /// Blobs start at multiples of this in the file, sections in their blob.

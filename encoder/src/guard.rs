@@ -1,6 +1,7 @@
 //! What must be said and tidied away where something outside stops the program: a file that is cut short while it is mapped
 //! into memory, and Ctrl-C. A library does nothing of it by itself: a command asks with [`explain_lost_files`].
 
+use std::alloc::{GlobalAlloc, Layout, System};
 use std::ffi::{CString, c_char};
 use std::fs::File;
 use std::ops::Deref;
@@ -131,7 +132,54 @@ pub fn last_word() {
     }
 }
 
-/// From now on a mapped file that is cut short ends the program with one plain line and status 1. To be called once, by a
+/// Bytes of the last request for memory that the system refused; 0: there was none.
+static REFUSED: AtomicUsize = AtomicUsize::new(0);
+
+/// The system's memory, for a program that is to say in plain words that there is none left: Rust ends it by an abort then, and
+/// [`explain_lost_files`] turns that into a line and status 1. Who asks by `try_reserve` is told as ever.
+pub struct Allocator;
+
+fn noted(at: *mut u8, bytes: usize) -> *mut u8 {
+    if at.is_null() {
+        REFUSED.store(bytes, Ordering::Release);
+    }
+    at
+}
+
+// SAFETY: all of it is the system's.
+unsafe impl GlobalAlloc for Allocator {
+    #[inline]
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        noted(unsafe { System.alloc(layout) }, layout.size())
+    }
+
+    #[inline]
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        noted(unsafe { System.alloc_zeroed(layout) }, layout.size())
+    }
+
+    #[inline]
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        noted(unsafe { System.realloc(at, layout, bytes) }, bytes)
+    }
+
+    #[inline]
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+/// Whether a fault is one of memory: the system has refused some, or leaves little.
+#[cfg(not(target_arch = "wasm32"))]
+pub fn is_short_of_memory() -> bool {
+    REFUSED.load(Ordering::Acquire) > 0 || crate::memory::left_of_limits().is_some_and(|left| left < 64 << 20)
+}
+
+/// From now on running out of memory, and a mapped file that is cut short, end the program with one plain line and status 1. To be called once, by a
 /// command; elsewhere than on Unix a file that is mapped cannot be cut short.
 pub fn explain_lost_files() {
     #[cfg(unix)]
@@ -140,7 +188,7 @@ pub fn explain_lost_files() {
 
 #[cfg(unix)]
 mod handler {
-    use super::{FREE, MAPPED, Slot, TAKEN, last_word, leave};
+    use super::{FREE, MAPPED, REFUSED, Slot, TAKEN, last_word, leave};
     use std::sync::atomic::{AtomicPtr, Ordering};
 
     static BEFORE: AtomicPtr<libc::sigaction> = AtomicPtr::new(std::ptr::null_mut());
@@ -156,6 +204,8 @@ mod handler {
             if libc::sigaction(libc::SIGBUS, &action, &mut before) == 0 {
                 BEFORE.store(Box::into_raw(Box::new(before)), Ordering::Release);
             }
+            action.sa_sigaction = aborted as *const () as usize;
+            libc::sigaction(libc::SIGABRT, &action, std::ptr::null_mut());
         }
     }
 
@@ -190,6 +240,22 @@ mod handler {
         let mut digits = [0; 20];
         say(decimal((at - slot.from.load(Ordering::Acquire)) as u64, &mut digits));
         say(b": the file was cut short while it was read; run the command again when nothing writes to it\n");
+        leave(1);
+    }
+
+    /// Rust's last step where memory that must be had is not. An abort for another reason goes on as it would have gone.
+    extern "C" fn aborted(_: libc::c_int, _: *mut libc::siginfo_t, _: *mut libc::c_void) {
+        let bytes = REFUSED.load(Ordering::Acquire);
+        if bytes == 0 {
+            // SAFETY: the default for this signal.
+            unsafe { libc::signal(libc::SIGABRT, libc::SIG_DFL) };
+            return;
+        }
+        last_word();
+        let mut digits = [0; 20];
+        say(b"planecast: out of memory: the system refuses ");
+        say(decimal(bytes as u64, &mut digits));
+        say(b" bytes more; raise its limit (ulimit -v), or ask for less (--memory, --size)\n");
         leave(1);
     }
 

@@ -11,7 +11,8 @@ use crate::format::{self, Section, TileEntry};
 use crate::forms::{Forms, Lists, Painted, Table};
 use crate::read::{Blob, Modes};
 use crate::write::general_lens;
-use crate::{ColorMode, Encoding, Feature, MipRule, PcastFile, Result};
+use crate::about::Short;
+use crate::{About, ColorMode, Encoding, Feature, MipRule, PcastFile, Result, memory};
 
 /// The figures of `planecast info`. Byte counts are those of the file: tiles with equal content are stored, and
 /// counted, once.
@@ -19,6 +20,12 @@ use crate::{ColorMode, Encoding, Feature, MipRule, PcastFile, Result};
 pub struct Info {
     /// `[nx, ny, nz]` of level 0, in voxels.
     pub dims: [u32; 3],
+    /// What was encoded, and how it was read; absent where the file does not say it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub about: Option<About>,
+    /// Sides of the world along x, y, z, in the unit of [`About::unit`]; absent where the size of a voxel is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub extent: Option<[f64; 3]>,
     /// Number of levels.
     pub levels: usize,
     pub encoding: Encoding,
@@ -243,8 +250,12 @@ pub fn info(file: &PcastFile) -> Result<Info> {
         .try_reduce(Tally::default, |a, b| Ok(a.add(b)))?;
     let finest = &per_level[0];
     let geometry = finest.bytes.geometry + finest.bytes.columns;
+    let about = Some(file.about()).filter(|about| **about != About::default()).cloned();
+    let sides = |voxel: [f64; 3]| std::array::from_fn(|axis| voxel[axis] * f64::from(file.dims()[axis]));
     Ok(Info {
         dims: file.dims(),
+        extent: about.as_ref().and_then(|about| about.voxel).map(sides),
+        about,
         levels: per_level.len(),
         encoding: file.encoding(),
         color: file.color(),
@@ -308,7 +319,42 @@ impl fmt::Display for Info {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = |value: &dyn fmt::Debug| format!("{value:?}").to_lowercase();
         let [nx, ny, nz] = self.dims;
-        writeln!(f, "world     {nx} × {ny} × {nz} voxels (y up), {} levels", self.levels)?;
+        let about = self.about.clone().unwrap_or_default();
+        let kind = about.kind.map_or("scene", |kind| kind.name());
+        let source = [&about.source, &about.format].into_iter().filter(|s| !s.is_empty());
+        let source = source.map(String::as_str).collect::<Vec<_>>().join(", ");
+        let line = |f: &mut fmt::Formatter<'_>, name: &str, text: &str| match text {
+            "" => Ok(()),
+            text => writeln!(f, "{name:<9} {text}"),
+        };
+        line(f, "what", &if source.is_empty() { kind.to_owned() } else { format!("{kind} from {source}") })?;
+        let voxels = format!("{nx} × {ny} × {nz} voxels (y up)");
+        let size = match (self.extent, about.voxel) {
+            (Some([x, y, z]), Some([vx, vy, vz])) => {
+                let unit = if about.unit.is_empty() { "units" } else { &about.unit };
+                let voxel = match vx == vy && vy == vz {
+                    true => Short(vx).to_string(),
+                    false => format!("{} × {} × {}", Short(vx), Short(vy), Short(vz)),
+                };
+                format!("{} × {} × {} {unit}, {voxels} of {voxel} {unit}", Short(x), Short(y), Short(z))
+            }
+            _ => voxels,
+        };
+        line(f, "size", &size)?;
+        line(f, "axes", &about.axes)?;
+        line(f, "crs", &about.crs)?;
+        line(f, "values", &about.values.map(|[a, b]| format!("{} to {}", Short(a), Short(b))).unwrap_or_default())?;
+        line(f, "solid", &about.rule)?;
+        line(f, "not in it", &about.left_out.join("; "))?;
+        let colors = match self.color {
+            ColorMode::None => "none",
+            ColorMode::Run => "one a run",
+            ColorMode::Voxel => "one a voxel",
+        };
+        line(f, "colours", colors)?;
+        line(f, "levels", &self.levels.to_string())?;
+        line(f, "file", &memory::display(self.bytes.total))?;
+        writeln!(f)?;
         let (encoding, color, rule) = (name(&self.encoding), name(&self.color), name(&self.mip_rule));
         writeln!(f, "modes     encoding {encoding}, color {color}, mip rule {rule}")?;
         writeln!(
@@ -492,7 +538,9 @@ mod tests {
             .lines()
             .filter(|l| !l.starts_with("needed") && !l.starts_with("left out"))
             .fold(String::new(), |text, line| text + line + "\n");
-        assert!(text.starts_with("world     300 × 20 × 260 voxels (y up), 10 levels\nmodes     encoding solid, color none, mip rule any\n"), "{text}");
-        assert_eq!(text.lines().count(), 9 + 10, "{text}");
+        let first = "what      scene\nsize      300 × 20 × 260 voxels (y up)\ncolours   none\nlevels    10\nfile      ";
+        assert!(text.starts_with(first), "{text}");
+        assert!(text.contains("\n\nmodes     encoding solid, color none, mip rule any\n"), "{text}");
+        assert_eq!(text.lines().count(), 5 + 9 + 10, "{text}");
     }
 }

@@ -36,14 +36,20 @@ pub mod info;
 pub mod input;
 mod lists;
 pub mod memory;
+pub mod metadata;
 pub mod mips;
 #[cfg(not(target_arch = "wasm32"))]
+pub mod open;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod part;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod passing;
 pub mod pieces;
 pub mod read;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod remote;
 pub mod run;
+pub mod say;
 pub mod scene;
 mod scratch;
 pub mod source;

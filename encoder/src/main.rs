@@ -17,6 +17,9 @@ enum Command {
     Query(cli::QueryArgs),
 }
 
+#[global_allocator]
+static ALLOCATOR: planecast_encoder::guard::Allocator = planecast_encoder::guard::Allocator;
+
 fn main() -> ExitCode {
     planecast_encoder::guard::explain_lost_files();
     let done = match Command::parse() {
@@ -31,7 +34,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             planecast_encoder::guard::last_word();
-            eprintln!("planecast-encode: {error}");
+            planecast_encoder::say!("planecast-encode: {error}");
             cli::exit_status(&error).into()
         }
     }

@@ -1,8 +1,31 @@
 //! How much memory there is, and how much is used.
 
-/// Bytes that can be had without pushing others out; None where the system does not say.
+/// Bytes that can be had without pushing others out, and within what `ulimit -v` and `-d` leave; None where the system does not
+/// say.
 pub fn available() -> Option<u64> {
-    proc_kib("/proc/meminfo", "MemAvailable:")
+    let free = proc_kib("/proc/meminfo", "MemAvailable:");
+    [free, left_of_limits()].into_iter().flatten().min()
+}
+
+/// Bytes that this process may still ask for; None without a limit.
+#[cfg(target_os = "linux")]
+pub fn left_of_limits() -> Option<u64> {
+    let left = |limit: Option<u64>, used: &str| Some(limit?.saturating_sub(proc_kib("/proc/self/status", used)?));
+    let space = left(limit(libc::RLIMIT_AS), "VmSize:");
+    [space, left(limit(libc::RLIMIT_DATA), "VmData:")].into_iter().flatten().min()
+}
+
+#[cfg(target_os = "linux")]
+fn limit(which: libc::__rlimit_resource_t) -> Option<u64> {
+    let mut limit = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
+    // SAFETY: a place for what it answers.
+    let known = unsafe { libc::getrlimit(which, &mut limit) } == 0;
+    (known && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
+}
+
+#[cfg(not(target_os = "linux"))]
+pub fn left_of_limits() -> Option<u64> {
+    None
 }
 
 /// Bytes that this process holds of its own, files it has mapped left out.

@@ -7,7 +7,8 @@
 //! One record a tile, in any order, each with checksums of its own, so that what a crash left whole can be told from
 //! what it did not. The blob is the scene's; where the scene has run colours, from which coarser levels cannot be made,
 //! a work blob (solid, voxel colours) follows it. The end record, whose tile number is 2⁶⁴ − 1, counts the records: a
-//! part without one is unfinished. Little-endian.
+//! part without one is unfinished. The record of tile 2⁶⁴ − 2 holds what is known of the input, as the scene's metadata.
+//! Little-endian.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -18,12 +19,13 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::format::{self, Grid, TileEntry};
 use crate::read::{Modes, Place, decode_tile};
 use crate::scratch::{read_at, write_at};
-use crate::{ColorMode, Encoding, Error, Features, Level, MipRule, Result};
+use crate::{About, ColorMode, Encoding, Error, Features, Level, MipRule, Result, metadata};
 
 pub const MAGIC: [u8; 8] = *b"\x89PCT\r\n\x1a\n";
-/// Version 1 had no [`Features`]: its parts are of the general layout.
-pub const VERSION: [u16; 2] = [2, 0];
+/// Version 1 had no [`Features`]: its parts are of the general layout; version 2 nothing of the input.
+pub const VERSION: [u16; 2] = [3, 0];
 const END: u64 = u64::MAX;
+const ABOUT: u64 = u64::MAX - 1;
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
@@ -149,20 +151,27 @@ pub struct Part {
     end: u64,
     finished: bool,
     n_records: u64,
+    about: About,
 }
 
 impl Part {
     /// A part of which no record is known.
     fn new(path: &Path, file: File, plan: Plan) -> Part {
         let end = size_of::<PartHeader>() as u64;
-        Part { path: path.to_owned(), file, plan, end, finished: false, n_records: 0 }
+        Part { path: path.to_owned(), file, plan, end, finished: false, n_records: 0, about: About::default() }
     }
 
     /// A new part in an empty file.
-    pub fn create(path: &Path, file: File, plan: Plan) -> Result<Part> {
-        let part = Part::new(path, file, plan);
+    pub fn create(path: &Path, file: File, plan: Plan, about: About) -> Result<Part> {
+        let mut part = Part::new(path, file, plan);
         part.file.set_len(0).map_err(|e| Error::io(path, "write", e))?;
         part.write(0, bytes_of(&plan.header()))?;
+        let blob = metadata::pack(&about);
+        if !blob.is_empty() {
+            let entry = TileEntry { len: blob.len() as u32, checksum: xxh3_64(&blob), ..TileEntry::zeroed() };
+            part.push(&Finished { tile: ABOUT, entry, blob, work: Vec::new() })?;
+        }
+        part.about = about;
         Ok(part)
     }
 
@@ -192,7 +201,7 @@ impl Part {
             }
             let at = part.end + size_of::<RecordHeader>() as u64;
             let body = u64::from(record.entry.len) + u64::from(record.work_len);
-            if record.tile >= n_tiles || at + body > len {
+            if record.tile >= n_tiles && record.tile != ABOUT || at + body > len {
                 break;
             }
             buffer.resize(body as usize, 0);
@@ -203,7 +212,10 @@ impl Part {
             if !whole {
                 break;
             }
-            found(record.tile, Stored { entry: record.entry, at, work_len: record.work_len });
+            match record.tile {
+                ABOUT => part.about = metadata::unpack(blob).unwrap_or_default(),
+                tile => found(tile, Stored { entry: record.entry, at, work_len: record.work_len }),
+            }
             part.n_records += 1;
             part.end = at + body;
         }
@@ -212,6 +224,11 @@ impl Part {
 
     pub fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    /// What is known of the input.
+    pub fn about(&self) -> &About {
+        &self.about
     }
 
     pub fn path(&self) -> &Path {

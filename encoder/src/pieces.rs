@@ -177,6 +177,60 @@ impl Pieces for Rows {
     }
 }
 
+/// A world of which more is known than its reader says.
+struct Known {
+    world: Box<dyn Pieces>,
+    about: About,
+}
+
+impl Pieces for Known {
+    fn dims(&self) -> [u32; 3] {
+        self.world.dims()
+    }
+
+    fn colored(&self) -> bool {
+        self.world.colored()
+    }
+
+    fn notes(&self) -> &[String] {
+        self.world.notes()
+    }
+
+    fn about(&self) -> About {
+        self.about.clone()
+    }
+
+    fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
+        self.world.piece(xs, zs)
+    }
+
+    fn input_bytes(&self) -> u64 {
+        self.world.input_bytes()
+    }
+
+    fn rows_together(&self) -> u32 {
+        self.world.rows_together()
+    }
+}
+
+/// A world that says what its input is called: without folder, host and query, which are not everybody's business and differ
+/// from machine to machine.
+#[cfg(not(target_arch = "wasm32"))]
+pub fn named(world: Box<dyn Pieces>, name: &std::path::Path) -> Box<dyn Pieces> {
+    let mut about = world.about();
+    if about == About::default() {
+        return world;
+    }
+    let text = name.to_string_lossy();
+    about.source = match crate::remote::is_url(name) {
+        true => text.split(['?', '#']).next().unwrap_or_default().trim_end_matches('/').rsplit('/').next().map(str::to_owned),
+        false if crate::open::is_procedural(name) => Some(text.into_owned()),
+        false => name.file_name().map(|name| name.to_string_lossy().into_owned()),
+    }
+    .unwrap_or_default();
+    Box::new(Known { world, about })
+}
+
 /// A world without colours, all of it grey.
 pub struct Grey(pub Box<dyn Pieces>);
 

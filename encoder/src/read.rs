@@ -20,7 +20,10 @@ use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
 use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, edges, n_edges};
 use crate::guard::Map;
-use crate::{ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure};
+use crate::{
+    About, ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene, exposure,
+    metadata,
+};
 
 mod sound;
 
@@ -43,6 +46,7 @@ pub struct PcastFile {
     encoding: Encoding,
     color: ColorMode,
     mip_rule: MipRule,
+    about: About,
     grids: Vec<Grid>,
     entries: Vec<TileEntry>,
     /// Tiles whose checksum was found to be right.
@@ -89,6 +93,13 @@ impl PcastFile {
             return Err(too_short(path, meta.len()));
         }
         let map = Map::new(path, &file).map_err(|e| Error::io(path, "map", e))?;
+        PcastFile::new(path, Bytes::Mapped(map))
+    }
+
+    /// The same for a file that is open, of which all is there. `path` is what errors call it.
+    pub fn from_file(path: impl AsRef<Path>, file: &File) -> Result<PcastFile> {
+        let path = path.as_ref();
+        let map = Map::new(path, file).map_err(|e| Error::io(path, "map", e))?;
         PcastFile::new(path, Bytes::Mapped(map))
     }
 
@@ -164,6 +175,14 @@ impl PcastFile {
                 format!("a directory of {n_tiles} tiles at byte {} does not fit the file", header.directory),
             );
         };
+        let mut about = About::default();
+        if header.version[1] >= format::MINOR_METADATA {
+            let metadata = &bytes[size_of::<Header>()..header.directory as usize];
+            match metadata::unpack(metadata) {
+                Ok(found) => about = found,
+                Err((at, what)) => return wrong(size_of::<Header>() + at, format!("metadata: {what}")),
+            }
+        }
         if xxh3_64(directory) != header.directory_checksum {
             return wrong(48, "the directory does not match its checksum; the file is damaged".into());
         }
@@ -174,7 +193,7 @@ impl PcastFile {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
         }
         let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
-        Ok(PcastFile { path: path.into(), bytes, encoding, color, mip_rule, grids, entries, checked })
+        Ok(PcastFile { path: path.into(), bytes, encoding, color, mip_rule, about, grids, entries, checked })
     }
 
     /// The bytes of a file in memory, of which some come only now; tiles are checked when they are read. None of a mapped
@@ -206,6 +225,11 @@ impl PcastFile {
 
     pub fn mip_rule(&self) -> MipRule {
         self.mip_rule
+    }
+
+    /// What was encoded, and how it was read; nothing is known of files that do not say it.
+    pub fn about(&self) -> &About {
+        &self.about
     }
 
     /// The tile grids of all levels, level 0 first.

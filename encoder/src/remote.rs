@@ -1,6 +1,10 @@
 //! Inputs, parts and scenes on object storage: `s3://`, `gs://`, `az://`, `https://`, and `file://`, with the feature
 //! `object-store`.
 //!
+//! A plain `http://` or `https://` address is read by GET alone, in ranges where the server has them, with its query, so that
+//! signed addresses work; HEAD and PROPFIND are asked for only by what lists a folder or writes. Without encryption nothing
+//! but the address is needed either.
+//!
 //! | what | how |
 //! |---|---|
 //! | raw and NPY volumes | in ranges, as they are needed |
@@ -11,6 +15,8 @@
 //! variables that the stores' own tools read (`AWS_ACCESS_KEY_ID`, `AWS_ENDPOINT`, `GOOGLE_SERVICE_ACCOUNT`,
 //! `AZURE_STORAGE_ACCOUNT_NAME`, …).
 
+#[cfg(feature = "object-store")]
+mod http;
 #[cfg(feature = "object-store")]
 mod store;
 
@@ -49,6 +55,18 @@ pub(crate) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Piec
 
 #[cfg(not(feature = "object-store"))]
 pub(crate) fn open_pieces(url: &Path, _: &ReadOptions) -> Result<Box<dyn Pieces>> {
+    without(url)
+}
+
+/// The scene at `url`; None where `is_scene` says of its name and first bytes that it is none. It is fetched whole, into a file
+/// without a name.
+#[cfg(feature = "object-store")]
+pub(crate) fn scene(url: &Path, is_scene: fn(&Path, &[u8]) -> bool) -> Result<Option<crate::PcastFile>> {
+    store::scene(url, is_scene)
+}
+
+#[cfg(not(feature = "object-store"))]
+pub(crate) fn scene(url: &Path, _: fn(&Path, &[u8]) -> bool) -> Result<Option<crate::PcastFile>> {
     without(url)
 }
 

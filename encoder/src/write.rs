@@ -19,10 +19,11 @@ use crate::column_rle::{self, Form};
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
 use crate::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, GROUP_SHIFTS, HeightBytes, Lists, Painted, Table};
 #[cfg(not(target_arch = "wasm32"))]
-use crate::guard::Passing;
+use crate::passing::Unfinished;
 use crate::read::Modes;
 use crate::{
-    ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
+    About, ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene, exposure,
+    metadata,
 };
 
 /// Writes `path` whole or not at all: into a new file beside it, which is synced and then takes its name. What
@@ -30,22 +31,12 @@ use crate::{
 #[cfg(not(target_arch = "wasm32"))]
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
     let (target, folder) = check_target(path)?;
-    let mut passing = None;
-    let create = |temporary: &Path| {
-        // Before there is a file: between its making and a later word an end of the program would leave it.
-        passing = Some(Passing::new(temporary));
-        File::options().read(true).write(true).create_new(true).open(temporary)
-    };
-    let file = tempfile::Builder::new().prefix(".planecast-").suffix(".tmp").make_in(&folder, create);
-    let file = file.map_err(|e| Error::io(path, "create", e))?;
-    let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
+    let file = Unfinished::new(&folder, &target).map_err(|e| Error::io(path, "create", e))?;
+    let mut out = BufWriter::with_capacity(1 << 20, file.file());
     write(&mut out)?;
     out.flush().map_err(|e| Error::io(path, "write", e))?;
     drop(out);
-    file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
-    file.persist(&target).map_err(|e| Error::io(path, "create", e.error))?;
-    drop(passing);
-    Ok(())
+    file.finish(&target).map_err(|e| Error::io(path, "create", e))
 }
 
 /// The file that writing to `path` makes or replaces, and its folder, if it can be written.
@@ -117,7 +108,7 @@ pub fn write_scene_with(scene: &Scene, features: Features, out: &mut (impl Write
         return Err(Error::Argument(format!("the scene has {} levels, {} were expected", levels.len(), grids.len())));
     }
     let modes = Modes { encoding: scene.encoding, color: scene.color };
-    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule)?;
+    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule, &About::default())?;
     let mut tiles = Vec::new();
     for level in &levels {
         let [across, along] = level.grid.tiles;
@@ -140,11 +131,20 @@ pub(crate) struct SceneWriter<'a, W> {
     at: u64,
     /// By 128 bits of hash: two different blobs of a scene never meet by chance.
     stored: HashMap<u128, u64>,
+    metadata: Vec<u8>,
 }
 
 impl<'a, W: Write + Seek> SceneWriter<'a, W> {
     /// Starts a file at the start of `out`. `path` is what errors call it.
-    pub fn new(out: &'a mut W, path: &'a Path, dims: [u32; 3], modes: Modes, rule: MipRule) -> Result<Self> {
+    pub fn new(
+        out: &'a mut W,
+        path: &'a Path,
+        dims: [u32; 3],
+        modes: Modes,
+        rule: MipRule,
+        about: &About,
+    ) -> Result<Self> {
+        let metadata = metadata::pack(about);
         let grids = format::grids(dims);
         let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
         let n_tiles = u32::try_from(n_tiles)
@@ -158,13 +158,14 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
             mip_rule: format::mip_rule_code(rule),
             n_levels: grids.len() as u8,
             n_tiles,
-            directory: size_of::<Header>() as u64,
+            directory: (size_of::<Header>() + metadata.len()) as u64,
             ..Header::zeroed()
         };
         let at = header.directory + u64::from(n_tiles) * size_of::<TileEntry>() as u64;
         // The directory is known last and stands first.
         out.seek(SeekFrom::Start(at)).map_err(|e| Error::io(path, "write", e))?;
-        Ok(SceneWriter { out, path, header, entries: Vec::with_capacity(n_tiles as usize), at, stored: HashMap::new() })
+        let entries = Vec::with_capacity(n_tiles as usize);
+        Ok(SceneWriter { out, path, header, entries, at, stored: HashMap::new(), metadata })
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<()> {
@@ -198,12 +199,17 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
         assert_eq!(self.entries.len(), self.header.n_tiles as usize, "every tile was pushed");
         let entries = std::mem::take(&mut self.entries);
         let entries: &[u8] = bytemuck::cast_slice(&entries);
+        let metadata = std::mem::take(&mut self.metadata);
+        if !metadata.is_empty() {
+            self.header.version[1] = format::MINOR_METADATA;
+        }
         self.header.file_len = self.at;
         self.header.directory_checksum = xxh3_64(entries);
         self.header.checksum = self.header.checksum();
         self.out.seek(SeekFrom::Start(0)).map_err(|e| Error::io(self.path, "write", e))?;
         let header = self.header;
         self.write(bytemuck::bytes_of(&header))?;
+        self.write(&metadata)?;
         self.write(entries)
     }
 }

@@ -263,3 +263,115 @@ fn object_store_fetches_what_cannot_be_read_in_ranges() {
     fails(&["encode", "s3://b/a/m.obj", "-o", "s3://b/a/m.obj"], 2, "is the input itself");
     assert_eq!(left_over(dir), [""; 0]);
 }
+
+/// What a plain server of files is able to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Server {
+    Ranges,
+    /// Sends all of a file, whatever was asked for.
+    Whole,
+    /// The same without saying how long it is.
+    Chunked,
+}
+
+/// Serves one file under `/a/FILE?sig=1%2F2`, GET alone, and keeps the first line of each request.
+fn serve_file(server: Server, bytes: Vec<u8>) -> (u16, Arc<Mutex<Vec<String>>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let log = Arc::new(Mutex::new(Vec::new()));
+    let kept = Arc::clone(&log);
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let (bytes, log) = (bytes.clone(), Arc::clone(&kept));
+            std::thread::spawn(move || {
+                let mut stream = stream.unwrap();
+                let mut reader = BufReader::new(stream.try_clone().unwrap());
+                let (mut line, mut range) = (String::new(), None);
+                reader.read_line(&mut line).unwrap();
+                loop {
+                    let mut header = String::new();
+                    reader.read_line(&mut header).unwrap();
+                    let header = header.trim().to_lowercase();
+                    if header.is_empty() {
+                        break;
+                    }
+                    if let Some(asked) = header.strip_prefix("range: bytes=") {
+                        let (from, to) = asked.split_once('-').unwrap();
+                        let (from, to) = (from.parse::<usize>().unwrap(), to.parse::<usize>().unwrap());
+                        range = Some((from, to.min(bytes.len() - 1)));
+                    }
+                }
+                let line = line.trim().to_owned();
+                log.lock().unwrap().push(line.clone());
+                let right = line.starts_with("GET /a/") && line.contains("?sig=1%2F2 ");
+                let answer = match (right, server, range) {
+                    (false, ..) if !line.starts_with("GET ") => b"HTTP/1.1 405 no\r\nContent-Length: 0\r\n\r\n".to_vec(),
+                    (false, ..) => b"HTTP/1.1 403 no\r\nContent-Length: 0\r\n\r\n".to_vec(),
+                    (true, Server::Ranges, Some((from, to))) => {
+                        let part = &bytes[from..=to];
+                        let head = format!(
+                            "HTTP/1.1 206 part\r\nContent-Length: {}\r\nContent-Range: bytes {from}-{to}/{}\r\nConnection: close\r\n\r\n",
+                            part.len(),
+                            bytes.len()
+                        );
+                        [head.as_bytes(), part].concat()
+                    }
+                    (true, Server::Chunked, _) => {
+                        let mut body = b"HTTP/1.1 200 ok\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n".to_vec();
+                        for part in bytes.chunks(50_000) {
+                            body.extend(format!("{:x}\r\n", part.len()).into_bytes());
+                            body.extend(part);
+                            body.extend(b"\r\n");
+                        }
+                        body.extend(b"0\r\n\r\n");
+                        body
+                    }
+                    _ => {
+                        let head = format!("HTTP/1.1 200 ok\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", bytes.len());
+                        [head.as_bytes(), &bytes].concat()
+                    }
+                };
+                // Who has seen enough goes away.
+                let _ = stream.write_all(&answer);
+            });
+        }
+    });
+    (port, log)
+}
+
+#[test]
+fn plain_servers_are_read_by_get_alone_with_the_query_of_the_address() {
+    let dir = tempfile::tempdir().unwrap();
+    let (raw, npy) = volume();
+    let dims = DIMS.map(|n| n.to_string()).join(",");
+    std::fs::write(dir.path().join("a.raw"), &raw).unwrap();
+    std::fs::write(dir.path().join("a.npy"), &npy).unwrap();
+    let local = |name: &str, more: &[&str]| {
+        let args = [&["encode", name, "-o", "local.pcast"][..], more].concat();
+        ok(dir.path(), 9, &args);
+        std::fs::read(dir.path().join("local.pcast")).unwrap()
+    };
+    for server in [Server::Ranges, Server::Whole, Server::Chunked] {
+        for (name, bytes, more) in
+            [("a.raw", &raw, &["--dims", &dims, "--iso", "99"][..]), ("a.npy", &npy, &["--iso", "900"])]
+        {
+            let scene = local(name, more);
+            let (port, log) = serve_file(server, bytes.clone());
+            let url = format!("http://127.0.0.1:{port}/a/{name}?sig=1%2F2");
+            let said = ok(dir.path(), 9, &[&["encode", &url, "-o", "there.pcast"][..], more].concat());
+            assert_eq!(std::fs::read(dir.path().join("there.pcast")).unwrap(), scene, "{server:?} {name}: {said}");
+            assert!(!said.contains("sig="), "what is secret is not told: {said}");
+            let log = log.lock().unwrap();
+            assert!(log.iter().all(|line| line.starts_with("GET ") && line.contains("?sig=1%2F2")), "{log:?}");
+            assert!(said.contains("its server gives no ranges") == (server != Server::Ranges), "{server:?}: {said}");
+            // The scene itself, on such a server.
+            let (port, _) = serve_file(server, scene);
+            let url = format!("http://127.0.0.1:{port}/a/s.pcast?sig=1%2F2");
+            ok(dir.path(), 9, &["info", &url]);
+            ok(dir.path(), 9, &["query", &url, "1", "2", "3"]);
+        }
+    }
+    let (port, _) = serve_file(Server::Ranges, raw);
+    let (status, said) = run(dir.path(), 9, &["info", &format!("http://127.0.0.1:{port}/a/a.raw?sig=other")]);
+    assert!(status == Some(1) && said.contains("the server refuses with 403") && !said.contains("sig="), "{said}");
+}

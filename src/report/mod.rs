@@ -19,7 +19,8 @@ use crate::options::Options;
 use crate::path::Path;
 use crate::renderer;
 use journal::Journal;
-use planecast_encoder::{Error as FileError, MipRule, PcastFile, info};
+use planecast_encoder::source::ReadOptions;
+use planecast_encoder::{Error as FileError, MipRule, info};
 use run::{Draw, Drawer, Plan, Row, World};
 use std::path::Path as FilePath;
 
@@ -48,11 +49,16 @@ pub struct Job<'j> {
 /// Poses taken along a path.
 const PATH_POSES: [usize; 2] = [9, 4];
 
-/// Makes a report of a scene file, or goes on with one. Returns what was chosen, if a choice was asked for. `tell` hears of
+/// Makes a report of a scene file, or of an input read so, or goes on with one. Returns what was chosen, if a choice was asked for. `tell` hears of
 /// the progress.
-pub fn report(scene: &FilePath, job: &Job<'_>, tell: &mut dyn FnMut(&str)) -> Result<Option<String>> {
+pub fn report(
+    scene: &FilePath,
+    read: &ReadOptions,
+    job: &Job<'_>,
+    tell: &mut dyn FnMut(&str),
+) -> Result<Option<String>> {
     check_folder(job.folder)?;
-    let file = PcastFile::open(scene)?;
+    let file = planecast_encoder::cli::open(scene, read)?.file;
     let content = info::info(&file)?.content_hash;
     let world = World::new(file.read_scene()?);
     drop(file);

@@ -55,6 +55,7 @@ pub struct Settings {
     pub yaw: Option<f64>,
     pub pitch: Option<f64>,
     pub roll: Option<f64>,
+    pub aim: crate::aim::AimArgs,
     pub fov: f64,
     pub device: Device,
     pub kernel: Option<String>,

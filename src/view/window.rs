@@ -23,6 +23,7 @@ use super::panel::{self, Cost, Panel, Subject, Wish};
 use super::record::Recorder;
 use super::script::{self, Action, Script};
 use super::{Settings, last, pose_flags};
+use crate::aim::Typed;
 use crate::camera::Camera;
 use crate::device::Device;
 use crate::frame::{Frame, Stats};
@@ -299,15 +300,18 @@ impl App {
         let view = self.good_view_of(&world);
         let left = last::file().and_then(|file| last::recall(&file, &world.content_hash));
         let s = &self.settings;
-        let mut pose = match s.eye {
-            Some(eye) if first => Pose { eye, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: s.fov },
-            _ => left.unwrap_or(view),
+        let typed = Typed { eye: s.eye, yaw: s.yaw, pitch: s.pitch, roll: s.roll.unwrap_or(0.0) };
+        let is_typed = s.aim.is_given() || [s.yaw, s.pitch].iter().any(Option::is_some) || s.eye.is_some();
+        let pose = match first && is_typed {
+            true => {
+                let size = self.size.map(|n| n.max(1));
+                s.aim.pose(typed, &world.scene, View { fov: s.fov, size, repeat: self.options.repeat })?
+            }
+            false => {
+                let pose = left.unwrap_or(view);
+                Pose { roll: s.roll.filter(|_| first).unwrap_or(pose.roll), ..pose }
+            }
         };
-        if first {
-            pose.yaw = s.yaw.unwrap_or(pose.yaw);
-            pose.pitch = s.pitch.unwrap_or(pose.pitch);
-            pose.roll = s.roll.unwrap_or(pose.roll);
-        }
         self.control = Control::new(pose, world.resident.dims);
         (self.recorder, self.route, self.map) = (Recorder::default(), None, None);
         if let Some(screen) = &self.screen {
@@ -324,7 +328,7 @@ impl App {
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
         // A view that is not remembered is no reason to stay.
         if let Err(e) = last::remember(&file, &world.content_hash, &self.control.pose, now) {
-            eprintln!("note: the view is not remembered: {e}");
+            planecast_encoder::note!("note: the view is not remembered: {e}");
         }
     }
 

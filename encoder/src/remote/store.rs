@@ -13,9 +13,10 @@ use object_store::{ObjectStore, ObjectStoreExt, WriteMultipart};
 use tokio::runtime::Runtime;
 use xxhash_rust::xxh3::xxh3_64;
 
+use super::http::Http;
 use crate::pieces::Pieces;
 use crate::source::{self, Format, ReadOptions};
-use crate::{Error, Input, Result, memory};
+use crate::{About, Error, Input, PcastFile, Result, memory, scratch};
 
 /// Bytes of an object that tell what it is.
 const HEAD: u64 = 64 << 10;
@@ -27,18 +28,17 @@ const MAX_PIECES: u64 = 9_000;
 static RUNTIME: LazyLock<std::io::Result<Runtime>> =
     LazyLock::new(|| tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build());
 
+pub(super) fn runtime() -> Result<&'static Runtime> {
+    RUNTIME.as_ref().map_err(|e| Error::Limit(format!("no threads for object storage: {e}")))
+}
+
 fn wait<T>(url: &Path, action: &'static str, work: impl Future<Output = object_store::Result<T>>) -> Result<T> {
-    let runtime = RUNTIME.as_ref().map_err(|e| Error::Limit(format!("no threads for object storage: {e}")))?;
-    runtime.block_on(work).map_err(|e| failed(url, action, e))
+    runtime()?.block_on(work).map_err(|e| failed(url, action, e))
 }
 
 /// A store's error on one line: the innermost causes of some fill a page.
 fn failed(url: &Path, action: &'static str, e: object_store::Error) -> Error {
-    let mut text = e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-    if let Some((at, _)) = text.char_indices().nth(400) {
-        text.truncate(at);
-        text.push('…');
-    }
+    let text = one_line(&e.to_string());
     let kind = match e {
         object_store::Error::NotFound { .. } => std::io::ErrorKind::NotFound,
         _ => std::io::ErrorKind::Other,
@@ -46,26 +46,63 @@ fn failed(url: &Path, action: &'static str, e: object_store::Error) -> Error {
     Error::io(url, action, std::io::Error::new(kind, text))
 }
 
+pub(super) fn one_line(text: &str) -> String {
+    let mut text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    if let Some((at, _)) = text.char_indices().nth(400) {
+        text.truncate(at);
+        text.push('…');
+    }
+    text
+}
+
+fn parse(url: &Path) -> Result<url::Url> {
+    let parsed = url::Url::parse(&url.to_string_lossy());
+    parsed.map_err(|e| Error::Argument(format!("{}: no URL: {e}", shown(url).display())))
+}
+
+/// A URL as it is told: without its query, which may hold what others must not know.
+pub(super) fn shown(url: &Path) -> PathBuf {
+    let text = url.to_string_lossy();
+    PathBuf::from(text.split(['?', '#']).next().unwrap_or_default())
+}
+
 /// The store that a URL names, and the object in it.
 fn resolve(url: &Path) -> Result<(Arc<dyn ObjectStore>, Key)> {
-    let wrong = |what: String| Error::Argument(format!("{}: {what}", url.display()));
-    let parsed = url::Url::parse(&url.to_string_lossy()).map_err(|e| wrong(format!("no URL: {e}")))?;
-    let (store, key) = object_store::parse_url_opts(&parsed, std::env::vars()).map_err(|e| failed(url, "reach", e))?;
+    // Who writes http:// means it, in a URL as in the address of an endpoint.
+    let options = std::env::vars().chain([("allow_http".to_owned(), "true".to_owned())]);
+    let (store, key) = object_store::parse_url_opts(&parse(url)?, options).map_err(|e| failed(url, "reach", e))?;
     Ok((store.into(), key))
+}
+
+/// The address of what is read by plain GET: of no store that is known by its name, or signed.
+fn plain(url: &Path) -> Result<Option<url::Url>> {
+    let parsed = parse(url)?;
+    let web = matches!(parsed.scheme(), "http" | "https");
+    let known = || object_store::ObjectStoreScheme::parse(&parsed).is_ok_and(|(s, _)| s != object_store::ObjectStoreScheme::Http);
+    Ok((web && (parsed.query().is_some() || !known())).then_some(parsed))
 }
 
 /// One object, for reading.
 pub(crate) struct Object {
     url: PathBuf,
-    store: Arc<dyn ObjectStore>,
-    key: Key,
+    place: Place,
     len: u64,
     state: String,
+}
+
+enum Place {
+    Store(Arc<dyn ObjectStore>, Key),
+    Http(Http),
 }
 
 impl Object {
     /// None where there is no such object.
     pub fn open(url: &Path) -> Result<Option<Object>> {
+        if let Some(address) = plain(url)? {
+            let Some(http) = Http::open(address, &shown(url))? else { return Ok(None) };
+            let (len, state) = (http.len(), http.state().to_owned());
+            return Ok(Some(Object { url: shown(url), place: Place::Http(http), len, state }));
+        }
         let (store, key) = resolve(url)?;
         let found = match wait(url, "open", store.head(&key)) {
             Ok(found) => found,
@@ -73,7 +110,7 @@ impl Object {
             Err(e) => return Err(e),
         };
         let state = format!("{} {} {:?} {:?}", found.size, found.last_modified, found.e_tag, found.version);
-        Ok(Some(Object { url: url.to_owned(), store, key, len: found.size, state }))
+        Ok(Some(Object { url: url.to_owned(), place: Place::Store(store, key), len: found.size, state }))
     }
 
     pub fn state(&self) -> &str {
@@ -85,7 +122,12 @@ impl Object {
         let n = range.end - range.start;
         buffer.clear();
         if n > 0 {
-            buffer.extend_from_slice(&wait(&self.url, "read", self.store.get_range(&self.key, range))?);
+            match &self.place {
+                Place::Store(store, key) => {
+                    buffer.extend_from_slice(&wait(&self.url, "read", store.get_range(key, range))?);
+                }
+                Place::Http(http) => http.read(range, buffer)?,
+            }
         }
         if buffer.len() as u64 != n {
             return Err(Error::format(
@@ -96,18 +138,41 @@ impl Object {
         Ok(())
     }
 
-    fn fetch(&self, file: &Path) -> Result<()> {
-        fetch_object(&self.url, &*self.store, &self.key, file)
+    fn fetch(&self, out: &mut File) -> Result<()> {
+        match &self.place {
+            Place::Store(store, key) => fetch_object(&self.url, &**store, key, out),
+            Place::Http(http) => http.fetch(out),
+        }
     }
 }
 
-fn fetch_object(url: &Path, store: &dyn ObjectStore, key: &Key, file: &Path) -> Result<()> {
-    let mut out = File::create(file).map_err(|e| Error::io(file, "create", e))?;
+fn fetch_object(url: &Path, store: &dyn ObjectStore, key: &Key, out: &mut File) -> Result<()> {
     let mut stream = wait(url, "read", store.get(key))?.into_stream();
     while let Some(bytes) = wait(url, "read", stream.try_next())? {
-        out.write_all(&bytes).map_err(|e| Error::io(file, "write", e))?;
+        out.write_all(&bytes).map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e))?;
     }
     Ok(())
+}
+
+fn create(file: &Path) -> Result<File> {
+    File::create(file).map_err(|e| Error::io(file, "create", e))
+}
+
+/// See [`super::scene`].
+pub(super) fn scene(url: &Path, is_scene: fn(&Path, &[u8]) -> bool) -> Result<Option<PcastFile>> {
+    if url.to_string_lossy().ends_with('/') {
+        return Ok(None);
+    }
+    let Some(object) = Object::open(url)? else { return Err(missing(url)) };
+    let mut head = Vec::new();
+    object.read(0..object.len.min(16), &mut head)?;
+    if !is_scene(&shown(url), &head) {
+        return Ok(None);
+    }
+    let mut file = scratch::file().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
+    object.fetch(&mut file)?;
+    crate::note!("note: {} was fetched, {}", shown(url).display(), memory::display(object.len));
+    PcastFile::from_file(shown(url), &file).map(Some)
 }
 
 fn temporary() -> Result<tempfile::TempDir> {
@@ -116,7 +181,7 @@ fn temporary() -> Result<tempfile::TempDir> {
 }
 
 fn name_of(url: &Path) -> PathBuf {
-    PathBuf::from(url.file_name().unwrap_or("object".as_ref()))
+    PathBuf::from(shown(url).file_name().unwrap_or("object".as_ref()))
 }
 
 /// Fetches an object, or all below a URL that ends with a slash, and says so.
@@ -127,8 +192,8 @@ pub(super) fn fetch(url: &Path) -> Result<(Vec<PathBuf>, tempfile::TempDir)> {
     let Some(object) = Object::open(url)? else { return Err(missing(url)) };
     let folder = temporary()?;
     let file = folder.path().join(name_of(url));
-    object.fetch(&file)?;
-    eprintln!("note: {} was fetched to a temporary file, {}", url.display(), memory::display(object.len));
+    object.fetch(&mut create(&file)?)?;
+    crate::note!("note: {} was fetched to a temporary file, {}", shown(url).display(), memory::display(object.len));
     Ok((vec![file], folder))
 }
 
@@ -148,18 +213,18 @@ fn fetch_folder(url: &Path) -> Result<(Vec<PathBuf>, tempfile::TempDir)> {
         let file = below.fold(folder.path().to_owned(), |path, part| path.join(part.as_ref()));
         let parent = file.parent().unwrap_or(folder.path());
         fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
-        fetch_object(url, &*store, &object.location, &file)?;
+        fetch_object(url, &*store, &object.location, &mut create(&file)?)?;
         total += object.size;
         files.push(file);
     }
     let (n, total) = (objects.len(), memory::display(total));
-    eprintln!("note: {n} objects below {} were fetched to a temporary folder, {total}", url.display());
+    crate::note!("note: {n} objects below {} were fetched to a temporary folder, {total}", url.display());
     Ok((files, folder))
 }
 
 fn missing(url: &Path) -> Error {
     let none = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such object");
-    Error::io(url, "open", none)
+    Error::io(shown(url), "open", none)
 }
 
 /// A world in files that live as long as it does.
@@ -181,6 +246,10 @@ impl Pieces for Fetched {
         self.world.notes()
     }
 
+    fn about(&self) -> About {
+        self.world.about()
+    }
+
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
         self.world.piece(xs, zs)
     }
@@ -195,16 +264,25 @@ impl Pieces for Fetched {
 }
 
 pub(super) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
-    let Some(object) = Object::open(url)? else {
+    let object = match url.to_string_lossy().ends_with('/') {
+        true => None,
+        false => Object::open(url)?,
+    };
+    let Some(object) = object else {
+        // A server of pages lists nothing: what it does not have is not there.
+        if plain(url)?.is_some() && !url.to_string_lossy().ends_with('/') {
+            return Err(missing(url));
+        }
         let (_, folder) = fetch_folder(url)?;
         return Ok(Box::new(Fetched { world: source::open_pieces(folder.path(), opts)?, _folder: folder }));
     };
+    let name = &*shown(url);
     let mut head = Vec::new();
     object.read(0..object.len.min(HEAD), &mut head)?;
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
-        None => source::detect(url, &head)?,
+        None => source::detect(name, &head)?,
     };
     if matches!(format, Format::Raw | Format::Npy) {
         // Readers look at the header alone, and at how long the file is: a file of holes behind the head.
@@ -214,7 +292,7 @@ pub(super) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Piec
         // SAFETY: the map is read-only, and nobody else knows the file.
         let map = unsafe { memmap2::Mmap::map(&holes) };
         let map = map.map_err(|e| Error::io(std::env::temp_dir(), "map a file in", e))?;
-        if let Some(volume) = source::remote_volume(url, &map, format, object, opts)? {
+        if let Some(volume) = source::remote_volume(name, &map, format, object, opts)? {
             return Ok(volume);
         }
     }
@@ -244,6 +322,10 @@ impl Upload {
         if url.to_string_lossy().ends_with('/') {
             return Err(Error::Argument(format!("{}: names a folder, an object was expected", url.display())));
         }
+        if let Some(address) = plain(url)?.filter(|address| address.query().is_some()) {
+            let what = "an address with a query is read, not written; write a file and put it there";
+            return Err(Error::Argument(format!("{}{}: {what}", address.host_str().unwrap_or_default(), address.path())));
+        }
         let (store, key) = resolve(url)?;
         Object::open(url)?;
         let hash = xxh3_64(url.to_string_lossy().as_bytes());
@@ -259,7 +341,7 @@ impl Upload {
 
     pub fn finish(self) -> Result<()> {
         if let Err(e) = self.put() {
-            eprintln!("note: the finished file is {}", self.file.display());
+            crate::say!("note: the finished file is {}", self.file.display());
             return Err(e);
         }
         fs::remove_file(&self.file).map_err(|e| Error::io(&self.file, "remove", e))
