@@ -24,7 +24,6 @@ use bytemuck::{Pod, Zeroable};
 use super::mesh::Mesh;
 use super::spots::{self, Spot};
 use super::{ReadOptions, Up, world_dims};
-use crate::about::Kind;
 use crate::format::TILE;
 use crate::pieces::Pieces;
 use crate::scratch::{self as file, File, read_at};
