@@ -89,12 +89,6 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<InMe
         let end = bytes.len();
         return Err(Error::format(path, format!("byte {end}: the file ends after {n} of {cells} voxels")));
     }
-    if h != w {
-        left_out.push(format!(
-            "any other order of the sides {d}, {h}, {w}, which are read as x, z, y: the format wants them equal"
-        ));
-    }
-
     let sides = [d, w, h];
     let up = opts.up.unwrap_or_default();
     // Which axis of the file each axis of the world is.
@@ -119,6 +113,10 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<InMe
         affine[axis][3] = translate[axis] + if turned { scale } else { 0.0 };
     }
     let indices = values[2..].iter().any(|&v| v);
+    let mut rule = if indices { "solid where not 0" } else { "solid where 1" }.to_owned();
+    if h != w {
+        rule += &format!("; sides {d}, {h}, {w} differ, which the format does not foresee: they are read as x, z, y");
+    }
     let about = About {
         axes: match up {
             Up::X => "x is up",
@@ -128,7 +126,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<InMe
         .to_owned(),
         voxel: Some(axes.map(|a| side[a])),
         affine: Some(affine),
-        rule: if indices { "values other than 0" } else { "values of 1" }.to_owned(),
+        rule,
         left_out,
         ..About::new(Kind::Volume, "binvox")
     };

@@ -11,6 +11,9 @@ use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Most columns of a model: few bytes can place two voxels very far apart.
 const MAX_COLUMNS: u64 = 1 << 26;
+/// Columns, and columns a voxel, beyond which parts that a file places lie too far apart to be meant so.
+const MANY_COLUMNS: u64 = 1 << 24;
+const COLUMNS_A_VOXEL: u64 = 1024;
 /// Most voxels of formats that can say many in a few bytes.
 const MAX_PLACED: usize = 1 << 26;
 
@@ -96,6 +99,16 @@ impl Placed {
         let Some(low) = self.low else { return Ok(None) };
         let sides = [0, 1, 2].map(|a| (self.high[a] - low[a] + 1) as u64);
         let dims = dims(path, sides)?;
+        let columns = sides[0] * sides[2];
+        if columns > MANY_COLUMNS && columns / COLUMNS_A_VOXEL > self.voxels.len() as u64 {
+            let what = format!(
+                "{} × {} columns for {} voxels; its parts lie too far apart",
+                sides[0],
+                sides[2],
+                self.voxels.len()
+            );
+            return Err(Error::Limit(format!("{}: {what}", path.display())));
+        }
         let spot = |&(at, color): &([i32; 3], Rgb)| {
             let [x, y, z] = [0, 1, 2].map(|a| (i64::from(at[a]) - low[a]) as u32);
             Spot { column: z * dims[0] + x, y: y as u16, color }

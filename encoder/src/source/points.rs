@@ -71,6 +71,7 @@ pub(super) struct Has {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Spacing {
     /// As the mean distance of points, seen from above.
+    #[cfg_attr(not(feature = "las"), allow(dead_code, reason = "scans are spread so"))]
     Mean,
     /// So that there are [`DEFAULT_SIZE`] along the longest side.
     Longest,
@@ -491,8 +492,8 @@ impl Points {
         };
         about.rule = format!("{filled}{closed}; {colors}");
         let [below, above] = survey.most();
-        let stretch = (survey.high[1] - survey.low[1]) / (above[1] - below[1]);
-        if stretch > MAX_STRETCH && above[1] > below[1] {
+        let reach = MAX_STRETCH * (above[1] - below[1]).max(voxel);
+        if survey.high[1] - survey.low[1] > reach {
             let between = format!("{:.6} and {:.6}", below[1], above[1]);
             about.rule += &format!(
                 "; all but one in {STRAY} points on either side lie between heights {between}, so few lie far out"

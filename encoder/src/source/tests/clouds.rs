@@ -136,18 +136,11 @@ fn points_of_one_place_and_of_a_line_are_worlds() {
 #[test]
 fn points_fill_as_many_voxels_as_close_the_ground() {
     // A floor of points at random, a voxel apart in the mean, and one much finer than its voxels.
-    let floor = |n: u64, side: u64| {
-        let rows: String = (0..n)
-            .map(|i| {
-                format!(
-                    "{} {} 0\n",
-                    (hash(i, 1, 0) % (1000 * side)) as f64 / 1000.0,
-                    (hash(i, 2, 0) % (1000 * side)) as f64 / 1000.0
-                )
-            })
-            .collect();
-        format!("VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nDATA ascii\n{rows}")
-            .into_bytes()
+    let floor = |n: u32, side: u32| {
+        let place = |i: u32, axis: u32| f64::from(hash(1, i, axis, 0) % (1000 * side)) / 1000.0;
+        let rows: String = (0..n).map(|i| format!("{} {} 0\n", place(i, 0), place(i, 1))).collect();
+        let head = format!("VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nDATA ascii\n");
+        (head + &rows).into_bytes()
     };
     let sparse = floor(10_000, 100);
     let covered = |flags: &str| {

@@ -75,13 +75,13 @@ fn vox_frames_are_chosen_by_their_number_for_place_and_model_alike() {
     assert!(about("a.vox", &pack, "").left_out[0].contains("1 models after the first"));
 }
 
-// Ken Silverman's formats: x 4, y 3, z 6 with z down; solid but for a notch, a cavity and two voxels of air on top.
+// Ken Silverman's formats: x 5, y 5, z 9 with z down; solid but for a notch, a cavity and two voxels of air on top.
 
-const SIDES: [usize; 3] = [4, 3, 6];
+const SIDES: [usize; 3] = [5, 5, 9];
 
 fn solid([x, y, z]: [usize; 3]) -> bool {
-    let cavity = (1..3).contains(&x) && y == 1 && z == 3;
-    let notch = x == 3 && y == 0 && z > 2;
+    let cavity = x == 2 && y == 2 && z == 3;
+    let notch = x == 4 && y == 0 && z > 2;
     z > 1 - usize::from(x == 0) && !cavity && !notch
 }
 
@@ -98,7 +98,7 @@ fn faces(p: [usize; 3]) -> u8 {
 }
 
 fn index([x, y, z]: [usize; 3]) -> u8 {
-    (1 + x + 4 * y + 12 * z) as u8
+    (1 + x + 5 * y + 25 * z) as u8
 }
 
 fn small_palette() -> Vec<u8> {
@@ -171,19 +171,20 @@ fn slab6_file() -> Vec<u8> {
 #[test]
 fn kv6_kvx_and_slab6_vox_hold_the_same_model() {
     let dense = read("m.vox", &slab6_file(), "");
-    assert_eq!(dense.columns.dims(), [4, 6, 3]);
-    for (x, y, z) in (0..6).flat_map(|z| (0..3).flat_map(move |y| (0..4).map(move |x| (x, y, z)))) {
-        let here = dense.columns.solid(x as i64, 5 - z as i64, y as i64);
+    assert_eq!(dense.columns.dims(), [5, 9, 5]);
+    for (x, y, z) in (0..9).flat_map(|z| (0..5).flat_map(move |y| (0..5).map(move |x| (x, y, z)))) {
+        let here = dense.columns.solid(x as i64, 8 - z as i64, y as i64);
         assert_eq!(here, solid([x, y, z]), "({x}, {y}, {z})");
     }
     let dense = voxels(&dense);
-    assert_eq!(dense[&[0, 4, 0]], Some(color_of(index([0, 0, 1]))));
+    assert!(dense.keys().any(|&[x, y, z]| faces([x as usize, z as usize, 8 - y as usize]) == 0), "there is an inside");
+    assert_eq!(dense[&[0, 7, 0]], Some(color_of(index([0, 0, 1]))));
     for (name, bytes) in [("m.kv6", kv6_file()), ("m.kvx", kvx_file(&[]))] {
         let got = voxels(&read(name, &bytes, ""));
         assert_eq!(got.keys().collect::<Vec<_>>(), dense.keys().collect::<Vec<_>>(), "{name}: insides are filled");
         for (p, color) in &got {
             let [x, y, z] = p.map(|v| v as usize);
-            let in_sight = faces([x, z, 5 - y]) != 0;
+            let in_sight = faces([x, z, 8 - y]) != 0;
             assert_eq!(*color, in_sight.then(|| dense[p].unwrap()), "{name}: {p:?}");
         }
     }
@@ -212,7 +213,7 @@ fn kv6_kvx_and_slab6_damage_is_an_error() {
     }
     let mut far = kv6_file();
     far[36] = 9;
-    assert!(error("m.kv6", &far, "").contains("has a voxel at z 9, the model is 6 high"));
+    assert!(error("m.kv6", &far, "").contains("has a voxel at z 9, the model is 9 high"));
     let mut short = kvx_file(&[]);
     short[28] += 1;
     assert!(error("m.kvx", &short, "").contains("byte 28: the first offset"));
@@ -264,7 +265,9 @@ fn qb_matrices_lie_where_they_say_packed_or_not() {
         let input = read("m", bytes, "");
         assert_eq!((input.columns.dims(), voxels(&input)), ([5, 2, 4], expected.clone()));
         refuses_every_prefix("m.qb", bytes, "");
-        survives_changed_bytes("m.qb", bytes, "");
+    }
+    for (flag, data) in [(0, &raw), (1, &packed)] {
+        survives_changed_bytes("m.qb", &qb_file([0, 1, flag, 0], &[matrix("a", [3, 2, 2], [1, -1, 0], data)]), "");
     }
     // Left-handed: z is turned about 0, cell 0 to cell −1.
     let mut left = a.clone();
@@ -409,7 +412,7 @@ fn binvox_runs_go_along_y_then_z_then_x() {
     refuses_every_prefix("m.binvox", &bytes, "");
     survives_changed_bytes("m.binvox", &bytes, "");
     let uneven = about("m", &binvox_file([2, 3, 4], &[1, 24]), "");
-    assert!(uneven.left_out[0].contains("2, 3, 4 differ"), "{uneven}");
+    assert!(uneven.rule.contains("sides 2, 3, 4 differ"), "{uneven}");
     assert_eq!(read("m", &binvox_file([2, 3, 4], &[1, 24]), "").columns.dims(), [2, 4, 3]);
     assert!(error("m", &binvox_file([4, 4, 4], &[1, 63]), "").contains("ends after 63 of 64 voxels"));
     assert!(error("m", &binvox_file([9000, 9000, 9000], &[1, 255]), "").contains("2 bytes hold at most 255 in two"));
