@@ -29,7 +29,9 @@
 //! | input | held | at most |
 //! |---|---|---|
 //! | PNG or JPEG that cannot be read by rows | its pixels, while it is unpacked | 3 to 8 bytes a pixel |
-//! | TIFF | a strip or tile of a height map, a page of a stack | 8 bytes a pixel of it |
+//! | TIFF | a strip or tile of a height map, a row of strips or tiles of a stack | 8 bytes a pixel of it |
+//! | PNG or JPEG slices | one of them, unpacked | 3 to 8 bytes a pixel |
+//! | DICOM | one file, and a frame of it unpacked | the file's size, and 4 bytes a pixel |
 //! | meshes | corners, triangles, textures | 24 to 36 bytes a corner, 16 a triangle, 4 a pixel |
 //! | PLY clouds | points | 16 bytes a point |
 //! | `.vxl` | runs and colours | the file's size, thrice |
@@ -50,9 +52,9 @@ mod points;
 pub mod procedural;
 mod spots;
 mod stack;
-mod tiff_pages;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
+mod tiff_pages;
 mod volume;
 mod vox;
 mod vxl;
@@ -380,7 +382,8 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             notes.push(format!("{flag} is not used: {why}"));
         }
     };
-    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack | Format::Dicom);
+    let is_volume =
+        matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack | Format::Dicom);
     let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
     let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
     unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
