@@ -58,22 +58,34 @@ fn keys_of_geotiff_are_read() {
     let crs = Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 2264], [4096, 0, 1, 6360]]), &[], b"");
     assert_eq!((crs.name.as_str(), crs.unit, crs.up.unwrap().metres), ("EPSG:2264+6360", FOOT_US, FOOT_US));
     // The unit that a key names counts more than that of the code of heights.
-    let crs = Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 32_617], [4096, 0, 1, 5703], [4099, 0, 1, 9002]]), &[], b"");
+    let crs =
+        Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 32_617], [4096, 0, 1, 5703], [4099, 0, 1, 9002]]), &[], b"");
     assert_eq!((crs.unit, crs.up.unwrap().metres), (1.0, 0.3048));
     assert_eq!(crs.clash, "heights in ft by their unit, in m by their system");
     // The unit of a map counts more than that of its code, as GDAL has it.
-    assert_eq!(Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 32_617], [3076, 0, 1, 9002]]), &[], b"").unit, 0.3048);
+    assert_eq!(
+        Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 32_617], [3076, 0, 1, 9002]]), &[], b"").unit,
+        0.3048
+    );
     // Of one's own: a unit by its size, a name, Mercator with a parallel.
     let own = [[1024, 0, 1, 1], [3072, 0, 1, 32_767], [3073, 34_737, 5, 0], [3076, 0, 1, 32_767], [3077, 34_736, 1, 0]];
     let crs = Crs::of_keys(&keys(&own), &[0.5], b"Mine|");
     assert_eq!((crs.name.as_str(), crs.model, crs.unit), ("Mine", Model::Projected, 0.5));
-    let mercator = [[1024, 0, 1, 1], [3072, 0, 1, 32_767], [3075, 0, 1, 7], [3078, 34_736, 1, 0], [2057, 34_736, 1, 1], [2058, 34_736, 1, 1]];
+    let mercator = [
+        [1024, 0, 1, 1],
+        [3072, 0, 1, 32_767],
+        [3075, 0, 1, 7],
+        [3078, 34_736, 1, 0],
+        [2057, 34_736, 1, 1],
+        [2058, 34_736, 1, 1],
+    ];
     let crs = Crs::of_keys(&keys(&mercator), &[0.0, 1_737_400.0], b"");
     // The Moon at 60 degrees, by the sphere's equation.
     near(metres(crs, 0.0, 1_737_400.0 * (60f64.to_radians().tan() + 2.0).ln(), 20.0)[0], 10.0);
     // ESRI's text, and none at all.
     let esri = br#"ESRI PE String = PROJCS["NAD_1983_X",GEOGCS["GCS",DATUM["D",SPHEROID["GRS",6378137.0,298.257]],PRIMEM["G",0.0],UNIT["Degree",0.0174532925199433]],PROJECTION["Lambert_Conformal_Conic"],UNIT["Foot_US",0.3048006096012192]]|"#;
-    let crs = Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 32_767], [3073, 34_737, esri.len() as u16, 0]]), &[], esri);
+    let crs =
+        Crs::of_keys(&keys(&[[1024, 0, 1, 1], [3072, 0, 1, 32_767], [3073, 34_737, esri.len() as u16, 0]]), &[], esri);
     assert_eq!((crs.name.as_str(), crs.unit), ("NAD_1983_X", FOOT_US));
     assert_eq!(Crs::of_keys(&[], &[], b""), Crs::default());
     // Keys that point nowhere say nothing.
@@ -100,7 +112,9 @@ fn texts_of_both_versions_are_read() {
     let crs = Crs::of_wkt(esri).unwrap();
     assert_eq!((crs.model, crs.unit, crs.down), (Model::Geographic, 1.0, true));
     assert_eq!(crs.up.unwrap().metres, FOOT_US);
-    for damaged in ["", "PROJCS", "PROJCS[", "PROJCS[\"a\"", "+proj=utm +zone=17", &"A[".repeat(100_000), "[[[", "UNIT[\"é\",]é"] {
+    for damaged in
+        ["", "PROJCS", "PROJCS[", "PROJCS[\"a\"", "+proj=utm +zone=17", &"A[".repeat(100_000), "[[[", "UNIT[\"é\",]é"]
+    {
         assert_eq!(Crs::of_wkt(damaged), None, "{damaged:.20}");
     }
     for n in 0..one.len() {
@@ -120,7 +134,8 @@ fn tags_place_a_raster_and_flips_turn_it_north_up() {
     assert_eq!(Place::of_tags(&[], &ties.repeat(4), &[], false), None);
     let mut matrix = [0.0; 16];
     (matrix[0], matrix[3], matrix[5], matrix[7]) = (2.0, 5e5, 2.0, 4e6);
-    let place = Place { crs: Crs::epsg(32_617, Model::Projected), affine: Place::of_tags(&[], &[], &matrix, false).unwrap() };
+    let place =
+        Place { crs: Crs::epsg(32_617, Model::Projected), affine: Place::of_tags(&[], &[], &matrix, false).unwrap() };
     assert_eq!((place.flips(), place.turn()), ([false, true], 0.0));
     let flipped = place.flipped([false, true], 30, 20);
     assert_eq!(flipped.affine, [[2.0, 0.0, 5e5], [0.0, -2.0, 4_000_040.0]]);
@@ -138,7 +153,14 @@ fn tags_place_a_raster_and_flips_turn_it_north_up() {
 
 #[test]
 fn names_of_units_are_known() {
-    for (name, metres) in [("ft", 0.3048), ("US survey foot", FOOT_US), ("metre", 1.0), ("Foot_US", FOOT_US), ("km", 1000.0), ("cm", 0.01)] {
+    for (name, metres) in [
+        ("ft", 0.3048),
+        ("US survey foot", FOOT_US),
+        ("metre", 1.0),
+        ("Foot_US", FOOT_US),
+        ("km", 1000.0),
+        ("cm", 0.01),
+    ] {
         assert_eq!(Length::of_name(name).unwrap().metres, metres, "{name}");
     }
     assert_eq!(Length::of_name("K"), None);

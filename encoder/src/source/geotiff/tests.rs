@@ -2,8 +2,8 @@
 
 use std::io::Write;
 
-use super::super::tests::{error, heights, opts, survives_changed_bytes, told};
 use super::super::open_pieces;
+use super::super::tests::{error, heights, opts, survives_changed_bytes, told};
 use super::*;
 use crate::pieces::whole;
 
@@ -238,7 +238,10 @@ fn values_are_those_stored_whatever_their_form() {
     for wide in [false, true] {
         let big = MadePage::new([4, 1], 16, 2, bytes_of([0i16, 1, 7, 12].map(i16::to_be_bytes)));
         assert_eq!(read_heights(&tiff(Form { big_endian: true, wide }, &[big]), "--height-scale 1"), expected);
-        assert_eq!(read_heights(&tiff(Form { big_endian: false, wide }, &[i16s.clone()]), "--height-scale 1"), expected);
+        assert_eq!(
+            read_heights(&tiff(Form { big_endian: false, wide }, &[i16s.clone()]), "--height-scale 1"),
+            expected
+        );
     }
     let complex = MadePage::new([1, 1], 64, 6, vec![0; 8]);
     assert!(refused(&little(&[complex]), "").contains("complex values"));
@@ -276,7 +279,30 @@ fn every_compression_and_predictor_gives_the_same_values() {
     }
     assert_eq!(by(8, 3, 32, 3, deflated(&shuffled)), expected);
     let page = |compression: u16| MadePage::new([6, 4], 16, 1, plain.clone()).with(tags::COMPRESSION, &[compression]);
-    for (compression, name) in [(34_887, "LERC"), (50_001, "WebP"), (34_925, "LZMA"), (4711, "unknown")] {
+    let blob = |valid: lerc::bitmask::BitMask| {
+        let data = lerc::SampleData::F32(values.iter().map(|&v| v.into()).collect());
+        let image = lerc::Image {
+            width: 6,
+            height: 4,
+            data_type: lerc::DataType::Float,
+            valid_masks: vec![valid],
+            data,
+            ..lerc::Image::default()
+        };
+        lerc::encode(&image, lerc::Precision::Lossless).unwrap()
+    };
+    let whole = blob(lerc::bitmask::BitMask::all_valid(24));
+    assert_eq!(by(34_887, 1, 32, 3, whole.clone()), expected);
+    let twice = |method: u16, strip: Vec<u8>| {
+        let page = MadePage::new([6, 4], 32, 3, strip).with(tags::COMPRESSION, &[34_887]);
+        read_heights(&little(&[page.with(tags::LERC_PARAMETERS, &[4, method])]), "--height-scale 1")
+    };
+    assert_eq!(twice(1, deflated(&whole)), expected);
+    assert_eq!(twice(2, zstd::encode_all(&whole[..], 3).unwrap()), expected);
+    let mut holes = lerc::bitmask::BitMask::all_valid(24);
+    holes.set_invalid(5);
+    assert_eq!(by(34_887, 1, 32, 3, blob(holes))[4..7], [expected[4], None, expected[6]]);
+    for (compression, name) in [(50_001, "WebP"), (34_925, "LZMA"), (4711, "unknown")] {
         let e = refused(&little(&[page(compression)]), "");
         assert!(e.contains(name) && e.contains("deflate"), "{e}");
     }
@@ -285,10 +311,12 @@ fn every_compression_and_predictor_gives_the_same_values() {
 #[test]
 fn of_several_bands_the_first_is_read_and_alpha_empties_pixels() {
     let bands = |page: MadePage, n: u16| page.with(tags::SAMPLES, &[n]).with(tags::BITS, &[8; 3][..usize::from(n)]);
-    let chunky = bands(MadePage::new([2, 2], 8, 1, vec![1, 9, 9, 2, 9, 9, 3, 9, 9, 4, 9, 9]), 3).with(tags::PHOTOMETRIC, &[1]);
+    let chunky =
+        bands(MadePage::new([2, 2], 8, 1, vec![1, 9, 9, 2, 9, 9, 3, 9, 9, 4, 9, 9]), 3).with(tags::PHOTOMETRIC, &[1]);
     let (found, about) = told("a.tif", &little(std::slice::from_ref(&chunky)), "");
     assert_eq!((found, about.left_out), (some(&[1, 2, 3, 4]), vec!["bands 2 to 3 of 3".to_owned()]));
-    let planar = MadePage { chunks: vec![vec![1, 2, 3, 4], vec![9; 4], vec![9; 4]], ..chunky.clone() }.with(tags::PLANAR, &[2]);
+    let planar =
+        MadePage { chunks: vec![vec![1, 2, 3, 4], vec![9; 4], vec![9; 4]], ..chunky.clone() }.with(tags::PLANAR, &[2]);
     assert_eq!(read_heights(&little(&[planar]), ""), some(&[1, 2, 3, 4]));
     let alpha = bands(MadePage::new([2, 2], 8, 1, vec![1, 255, 2, 0, 3, 1, 4, 255]), 2).with(tags::EXTRA_SAMPLES, &[2]);
     let (found, about) = told("a.tif", &little(&[alpha]), "");
@@ -314,7 +342,10 @@ fn a_raster_that_is_not_north_up_is_turned() {
         told("a.tif", &little(&[page.doubles(tags::TRANSFORMATION, &matrix)]), "")
     };
     let (found, about) = by(2.0, 0.0, 0.0, -2.0);
-    assert_eq!((found, about.axes.as_str()), (some(&[5, 10, 15, 20, 25, 30]), "columns are x (east), rows are z (south)"));
+    assert_eq!(
+        (found, about.axes.as_str()),
+        (some(&[5, 10, 15, 20, 25, 30]), "columns are x (east), rows are z (south)")
+    );
     assert_eq!((about.crs.as_str(), about.voxel), ("EPSG:32617", Some([2.0; 3])));
     let (found, about) = by(2.0, 0.0, 0.0, 2.0);
     assert_eq!(found, some(&[20, 25, 30, 5, 10, 15]));
@@ -422,13 +453,15 @@ fn tiles_that_are_no_one_grid_are_refused_by_name() {
 #[test]
 fn srtm_and_esri_tiles_make_a_map_too() {
     let text = |x: u32, v: u32| {
-        format!("ncols 2\nnrows 1\nxllcorner {x}\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n{v} -1\n").into_bytes()
+        format!("ncols 2\nnrows 1\nxllcorner {x}\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n{v} -1\n")
+            .into_bytes()
     };
     let (found, about) = folder(&[("a.asc", text(500_000, 30)), ("b.asc", text(500_020, 50))], "").unwrap();
     assert_eq!((found, about.format.as_str()), (vec![Some(3), None, Some(5), None], "2 tiles, ESRI ASCII grid"));
     // Both sides of the 180th meridian.
     let samples = |v: i16| bytes_of(vec![v.to_be_bytes(); 9]);
-    let (found, about) = folder(&[("N00E179.hgt", samples(7)), ("N00W180.hgt", samples(9))], "--height-scale 1").unwrap();
+    let (found, about) =
+        folder(&[("N00E179.hgt", samples(7)), ("N00W180.hgt", samples(9))], "--height-scale 1").unwrap();
     assert_eq!(found[..5], some(&[7, 7, 7, 9, 9]));
     assert_eq!(about.affine.unwrap()[0], [0.5, 0.0, 0.0, 178.75]);
 }

@@ -6,7 +6,8 @@ fn some(values: &[u16]) -> Vec<Option<u16>> {
 
 #[test]
 fn esri_grids_are_read_in_all_their_spellings() {
-    let text = b"ncols 3\nnrows 2\nxllcorner 500000\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n10 20 -1\n40 50.4 6e1\n";
+    let text =
+        b"ncols 3\nnrows 2\nxllcorner 500000\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n10 20 -1\n40 50.4 6e1\n";
     let (found, about) = told("a.asc", text, "");
     assert_eq!(found, [Some(1), Some(2), None, Some(4), Some(5), Some(6)]);
     assert_eq!((about.format.as_str(), about.voxel), ("ESRI ASCII grid", Some([10.0; 3])));
@@ -21,9 +22,16 @@ fn esri_grids_are_read_in_all_their_spellings() {
     let degrees = b"ncols 2\nnrows 1\nxllcorner 7\nyllcorner 0\ncellsize 0.001\n1113 0 7 8";
     let (found, about) = told("c.asc", degrees, "");
     assert_eq!(found, some(&[10, 0]));
-    assert!(about.rule.contains("coordinates taken as degrees") && about.left_out == ["what follows the grid, from byte 62 on"], "{about}");
+    assert!(
+        about.rule.contains("coordinates taken as degrees")
+            && about.left_out == ["what follows the grid, from byte 62 on"],
+        "{about}"
+    );
     for (text, what) in [
-        ("ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2 3 4 5", "byte 61: ESRI ASCII grid: it ends in row 1, column 2"),
+        (
+            "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2 3 4 5",
+            "byte 61: ESRI ASCII grid: it ends in row 1, column 2",
+        ),
         ("ncols 3\nnrows 1\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 x 3", "\"x\" in row 0, column 1"),
         ("ncols 30000\nnrows 30000\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2 3", "30000 × 30000 cells in"),
         ("ncols 3\nnrows 1\nxllcorner 0\ncellsize 10\n1 2 3", "no yllcorner"),
