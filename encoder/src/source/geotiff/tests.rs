@@ -239,7 +239,7 @@ fn values_are_those_stored_whatever_their_form() {
         let big = MadePage::new([4, 1], 16, 2, bytes_of([0i16, 1, 7, 12].map(i16::to_be_bytes)));
         assert_eq!(read_heights(&tiff(Form { big_endian: true, wide }, &[big]), "--height-scale 1"), expected);
         assert_eq!(
-            read_heights(&tiff(Form { big_endian: false, wide }, &[i16s.clone()]), "--height-scale 1"),
+            read_heights(&tiff(Form { big_endian: false, wide }, std::slice::from_ref(&i16s)), "--height-scale 1"),
             expected
         );
     }
