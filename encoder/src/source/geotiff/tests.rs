@@ -323,6 +323,9 @@ fn of_several_bands_the_first_is_read_and_alpha_empties_pixels() {
     assert_eq!((found, about.left_out.len()), (vec![Some(1), None, Some(3), Some(4)], 0));
     let e = refused(&little(&[chunky.clone().with(tags::PHOTOMETRIC, &[2])]), "");
     assert!(e.contains("no heights") && e.contains("--rgb"), "{e}");
+    let (found, about) =
+        told("a.tif", &little(&[MadePage::new([2, 1], 8, 1, vec![1, 2]).with(tags::ORIENTATION, &[3])]), "");
+    assert!(found == some(&[1, 2]) && about.left_out[0].contains("orientation 3"), "{about}");
     let palette = MadePage::new([2, 1], 8, 1, vec![1, 2]).with(tags::PHOTOMETRIC, &[3]);
     assert!(refused(&little(&[palette]), "").contains("palette"));
     // Colours that code heights: 8000.1 m by Mapbox's formula.
