@@ -203,7 +203,7 @@ pub(super) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Piec
     object.read(0..object.len.min(HEAD), &mut head)?;
     let format = match opts.format {
         Some(format) => format,
-        None if opts.dims.is_some() => Format::Raw,
+        None if opts.dims.is_some() && !source::is_r16(url) => Format::Raw,
         None => source::detect(url, &head)?,
     };
     if matches!(format, Format::Raw | Format::Npy) {

@@ -377,7 +377,8 @@ impl Crs {
                 crs.name = citation.unwrap_or_default().chars().filter(|c| !c.is_control()).take(80).collect();
                 (crs.unit, crs.unit_name) = match model {
                     Model::Geographic => (1.0, "degrees".to_owned()),
-                    _ => (1.0, "m".to_owned()),
+                    Model::Unknown => (1.0, String::new()),
+                    Model::Projected | Model::Geocentric => (1.0, "m".to_owned()),
                 };
                 crs
             }
@@ -561,11 +562,12 @@ impl Place {
         for [a, b, c] in &mut self.affine {
             if columns {
                 *c += *a * f64::from(width);
-                *a = -*a;
+                // No 0 below 0.
+                *a = 0.0 - *a;
             }
             if rows {
                 *c += *b * f64::from(height);
-                *b = -*b;
+                *b = 0.0 - *b;
             }
         }
         self

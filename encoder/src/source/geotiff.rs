@@ -267,6 +267,10 @@ pub(super) fn read(path: &Path, input: Box<dyn Stream + '_>, len: usize, opts: &
     if place.is_none() && ties > 0 {
         left_out.push(format!("a place given by {}, which is no grid", many(ties, "control point")));
     }
+    // As GDAL has it: rows and columns are what is placed, whichever way a viewer would turn the picture.
+    if let Some(orientation) = tiff.integer(&page, tags::ORIENTATION)?.filter(|&o| o > 1) {
+        left_out.push(format!("the turn that a viewer would give the picture (orientation {orientation})"));
+    }
     if page.has(50_844) {
         left_out.push("the geometry of a sensor (RPC)".to_owned());
     }

@@ -166,7 +166,7 @@ pub(super) fn hgt_place(path: &Path, bytes: u64) -> Result<([u32; 2], Option<Pla
     let samples = bytes / 2;
     let side = samples.isqrt();
     let [wide, high] = match bytes % 2 {
-        0 if side * side == samples && side >= 2 && side <= 21_601 => [side, side],
+        0 if side * side == samples && (2..=21_601).contains(&side) => [side, side],
         // North of 50 degrees one second tiles may have every second column.
         0 if samples == 1801 * 3601 => [1801, 3601],
         _ => {
@@ -236,12 +236,13 @@ pub(super) fn r16(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Map> 
     let samples = bytes.len() as u64 / 2;
     let side = samples.isqrt();
     let [width, height] = match opts.dims {
-        Some([x, y, 1]) if x.checked_mul(y) == Some(samples) && bytes.len() % 2 == 0 => [x, y],
+        Some([x, y, 0 | 1]) if x.checked_mul(y) == Some(samples) && bytes.len().is_multiple_of(2) => [x, y],
         Some([x, y, z]) => {
-            let what = format!("{x} × {y} × {z} heights of 16 bits, the file has {} bytes", bytes.len());
+            let z = if z > 1 { format!(" × {z}") } else { String::new() };
+            let what = format!("{x} × {y}{z} heights of 16 bits, the file has {} bytes", bytes.len());
             return Err(Error::format(path, format!("--dims: {what}; expected --dims X,Y with 2 · X · Y bytes")));
         }
-        None if side * side == samples && samples > 0 && bytes.len() % 2 == 0 => [side, side],
+        None if side * side == samples && samples > 0 && bytes.len().is_multiple_of(2) => [side, side],
         None => {
             let what = format!("{} bytes are no square of 16-bit heights", bytes.len());
             return Err(Error::format(path, format!("{what}; give --dims X,Y")));

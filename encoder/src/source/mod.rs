@@ -99,6 +99,7 @@ pub struct ReadOptions {
     #[arg(long, value_enum, value_name = "AXIS")]
     pub up: Option<Up>,
     /// Size of a raw volume in voxels, x fastest in the file; X,Y of a .r16 terrain
+    // Held as X, Y, 0.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims)]
     pub dims: Option<[u64; 3]>,
     /// Value type of a raw volume, little-endian [default: u8]
@@ -256,14 +257,14 @@ fn any_number(s: &str) -> Result<f64, String> {
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
     let wrong = || "expected three whole numbers, as in 256,128,64 (two for .r16)".to_owned();
     let mut parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
-    if parts.len() == 2 {
-        parts.push(1);
-    }
-    let dims: [u64; 3] = parts.try_into().map_err(|_| wrong())?;
-    if dims.contains(&0) {
+    if parts.contains(&0) {
         return Err("every size must be at least 1".to_owned());
     }
-    Ok(dims)
+    // Two sides, of a map: no depth.
+    if parts.len() == 2 {
+        parts.push(0);
+    }
+    parts.try_into().map_err(|_| wrong())
 }
 
 /// Reads the file at `path`, or makes the scene that a name like `procedural:terrain?size=512&seed=7` describes.
@@ -362,6 +363,7 @@ fn zarr_folder(path: &Path, _: &ReadOptions) -> Result<Box<dyn Pieces>> {
 }
 
 /// What a reader finds.
+#[expect(clippy::large_enum_variant, reason = "there is one for each input")]
 enum World<'a> {
     /// Values that stay where they are.
     Volume(volume::Volume<'a>),
@@ -504,7 +506,7 @@ fn without<T>(path: &Path, what: &str, feature: &str) -> Result<T> {
     Err(Error::Argument(format!("{path}: this planecast reads no {what}; build it with --features {feature}")))
 }
 
-fn is_r16(path: &Path) -> bool {
+pub(crate) fn is_r16(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("r16"))
 }
 

@@ -233,7 +233,8 @@ fn raw_errors_say_what_was_expected() {
     assert!(e.contains("exactly 1152921504606846976"), "{e}");
     let e = error("v.raw", &[0; 60], "--dims 4194304,4194304,4194304");
     assert!(e.contains("beyond any memory"), "{e}");
-    for dims in ["3,4", "3,4,5,6", "0,1,1", "a,b,c", "-1,2,3"] {
+    assert!(error("v.raw", &[0; 12], "--dims 3,4").contains("a volume has three sides"));
+    for dims in ["3", "3,4,5,6", "3,0", "0,1,1", "a,b,c", "-1,2,3"] {
         assert!(Cli::try_parse_from(["x", "--dims", dims]).is_err(), "{dims}");
     }
 }

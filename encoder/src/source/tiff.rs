@@ -21,6 +21,7 @@ pub(super) mod tags {
     pub const PHOTOMETRIC: u16 = 262;
     pub const FILL_ORDER: u16 = 266;
     pub const STRIP_OFFSETS: u16 = 273;
+    pub const ORIENTATION: u16 = 274;
     pub const SAMPLES: u16 = 277;
     pub const ROWS_PER_STRIP: u16 = 278;
     pub const STRIP_COUNTS: u16 = 279;
@@ -40,10 +41,14 @@ pub(super) mod tags {
     pub const GEO_TEXT: u16 = 34737;
     pub const GDAL_METADATA: u16 = 42112;
     pub const GDAL_NODATA: u16 = 42113;
+    pub const LERC_PARAMETERS: u16 = 50674;
 }
 
 /// Pixels that a chunk without bytes may stand for: its entry in the directory has eight bytes at least.
 const SPARSE_CHUNK: u64 = 1 << 22;
+
+/// Values of one LERC blob: its head can claim any number of equal ones.
+const LERC_LIMIT: u64 = 1 << 27;
 
 /// A file and its byte order.
 pub(super) struct Tiff<'a> {
@@ -104,6 +109,8 @@ pub(super) struct Image {
     /// Samples of a kind lie together, each in chunks of their own.
     planar: bool,
     reversed_bits: bool,
+    /// What packs a LERC blob once more: 0 nothing, 1 deflate, 2 Zstandard.
+    lerc: u64,
     /// What each extra sample is: 1 and 2 are alpha.
     pub extra: Vec<u64>,
     /// Size of a chunk, and how many there are across and down.
@@ -305,6 +312,7 @@ impl<'a> Tiff<'a> {
             predictor: self.integer(page, tags::PREDICTOR)?.unwrap_or(1),
             planar,
             reversed_bits: self.integer(page, tags::FILL_ORDER)?.unwrap_or(1) == 2,
+            lerc: self.integers(page, tags::LERC_PARAMETERS)?.and_then(|v| v.get(1).copied()).unwrap_or(0),
             extra: self.integers(page, tags::EXTRA_SAMPLES)?.unwrap_or_default(),
             chunk,
             across: width.div_ceil(chunk[0]),
@@ -382,6 +390,20 @@ impl<'a> Tiff<'a> {
                 out = self.by_crate(image, index)?;
                 Ok(())
             }
+            Compression::Lerc => {
+                let blob = match image.lerc {
+                    0 => Ok(packed),
+                    // What LERC leaves as it is is as long as the chunk, beside a head.
+                    1 => unpacked(&mut flate2::read::ZlibDecoder::new(&packed[..]), need),
+                    2 => zstd(&packed).and_then(|mut from| unpacked(&mut from, need)),
+                    n => return Err(self.fault(format!("{name}: LERC packed by method {n}; 0 to 2 are read"))),
+                };
+                out = blob
+                    .map_err(|e| e.to_string())
+                    .and_then(|blob| lerc(image, &blob))
+                    .map_err(|e| self.fault(format!("{name} at byte {at}: LERC: {e}")))?;
+                Ok(())
+            }
             Compression::Unknown(_) => unreachable!("refused with the image"),
         };
         // A stream cut short still gives what came before; too little of it is the fault that counts.
@@ -399,7 +421,8 @@ impl<'a> Tiff<'a> {
         let stride = image.samples_per_chunk() as usize;
         let whole = matches!(image.bits, 8 | 16 | 32 | 64);
         let swap = self.big_endian != cfg!(target_endian = "big");
-        let by_crate = matches!(Compression::of(image.compression), Compression::Jpeg | Compression::Fax);
+        let by_crate =
+            matches!(Compression::of(image.compression), Compression::Jpeg | Compression::Fax | Compression::Lerc);
         match image.predictor {
             _ if by_crate => {}
             1 if swap && whole && size > 1 => bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse),
@@ -544,6 +567,7 @@ enum Compression {
     Deflate,
     PackBits,
     Zstd,
+    Lerc,
     Unknown(&'static str),
 }
 
@@ -559,7 +583,7 @@ impl Compression {
             50_000 => Compression::Zstd,
             6 => Compression::Unknown("JPEG of before 1995"),
             34_712 | 33_003 | 33_005 => Compression::Unknown("JPEG 2000"),
-            34_887 => Compression::Unknown("LERC"),
+            34_887 => Compression::Lerc,
             34_925 => Compression::Unknown("LZMA"),
             50_001 => Compression::Unknown("WebP"),
             50_002 | 52_546 => Compression::Unknown("JPEG XL"),
@@ -577,7 +601,7 @@ impl Compression {
             // A string of 4,096 from 12 bits.
             Compression::Lzw => 2731.0,
             // A line without change is a bit; a block of one byte is 128 KiB from four.
-            Compression::Fax | Compression::Zstd | Compression::Unknown(_) => 65_536.0,
+            Compression::Fax | Compression::Zstd | Compression::Lerc | Compression::Unknown(_) => 65_536.0,
         }
     }
 }
@@ -618,6 +642,64 @@ fn lzw(decoder: &mut weezl::decode::Decoder, mut from: &[u8], need: u64, out: &m
     Ok(())
 }
 
+fn unpacked(from: &mut dyn Read, need: u64) -> std::io::Result<Vec<u8>> {
+    let mut out = Vec::new();
+    from.take(need.saturating_mul(2).saturating_add(1 << 16)).read_to_end(&mut out)?;
+    Ok(out)
+}
+
+fn bits_of<T>(_: &[T]) -> u32 {
+    8 * size_of::<T>() as u32
+}
+
+/// The samples of a LERC blob in this machine's order; NaN where its mask says that there are none.
+fn lerc(image: &Image, blob: &[u8]) -> Result<Vec<u8>, String> {
+    use lerc::SampleData;
+    let info = lerc::decode_info(blob).map_err(|e| e.to_string())?;
+    let n = image.samples_per_chunk();
+    let (deep, rows) = (u64::from(info.depth) * u64::from(info.bands.max(1)), image.chunk[1]);
+    if u64::from(info.width) * u64::from(info.height) * deep > LERC_LIMIT {
+        return Err(format!(
+            "{} × {} pixels of {deep} values at once; {LERC_LIMIT} values can be held",
+            info.width, info.height
+        ));
+    }
+    if info.width != image.chunk[0] || info.height > rows || deep != u64::from(n) {
+        let what = format!("{} × {} pixels of {deep} values", info.width, info.height);
+        return Err(format!("{what}, where the directory has {} × {rows} of {n}", image.chunk[0]));
+    }
+    let decoded = std::panic::catch_unwind(|| lerc::decode(blob));
+    let decoded =
+        decoded.map_err(|_| "its decoder gave up; the file is damaged".to_owned())?.map_err(|e| e.to_string())?;
+    let mask = decoded.valid_masks.first().filter(|mask| mask.num_pixels() > 0 && !mask.is_all_valid());
+    let holes = |i: usize| mask.is_some_and(|mask| !mask.is_valid(i / n as usize));
+    macro_rules! bytes {
+        ($values:expr, $kind:expr, $none:expr) => {{
+            let mut values = $values;
+            values.iter_mut().enumerate().filter(|(i, _)| holes(*i)).for_each(|(_, v)| *v = $none);
+            (bytemuck::cast_slice(&values).to_vec(), $kind, bits_of(&values))
+        }};
+    }
+    let whole = !matches!(decoded.data, SampleData::F32(_) | SampleData::F64(_));
+    if whole && mask.is_some() {
+        return Err("whole numbers with a mask; rewrite the file with deflate and a no-data value".to_owned());
+    }
+    let (bytes, sample, bits): (Vec<u8>, Sample, u32) = match decoded.data {
+        SampleData::I8(v) => bytes!(v, Sample::Signed, 0),
+        SampleData::U8(v) => bytes!(v, Sample::Unsigned, 0),
+        SampleData::I16(v) => bytes!(v, Sample::Signed, 0),
+        SampleData::U16(v) => bytes!(v, Sample::Unsigned, 0),
+        SampleData::I32(v) => bytes!(v, Sample::Signed, 0),
+        SampleData::U32(v) => bytes!(v, Sample::Unsigned, 0),
+        SampleData::F32(v) => bytes!(v, Sample::Float, f32::NAN),
+        SampleData::F64(v) => bytes!(v, Sample::Float, f64::NAN),
+    };
+    if (sample, bits) != (image.sample, image.bits) {
+        return Err(format!("{bits} bits ({sample:?}), where the directory has {} ({:?})", image.bits, image.sample));
+    }
+    Ok(bytes)
+}
+
 fn pack_bits(mut from: &[u8], need: u64, out: &mut Vec<u8>) {
     while let [head, rest @ ..] = from {
         if out.len() as u64 >= need {
@@ -648,7 +730,7 @@ fn zstd(packed: &[u8]) -> std::io::Result<impl Read + '_> {
 
 #[cfg(target_arch = "wasm32")]
 fn zstd(packed: &[u8]) -> std::io::Result<impl Read + '_> {
-    ruzstd::decoding::StreamingDecoder::new(packed).map_err(std::io::Error::other)
+    ruzstd::decoding::StreamingDecoder::new(packed).map_err(|e| std::io::Error::other(e.to_string()))
 }
 
 /// A number of 16 bits: sign, five bits of exponent, ten of fraction (IEEE 754).

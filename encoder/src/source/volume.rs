@@ -179,6 +179,12 @@ fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Sto
     let dims = opts.dims.ok_or_else(|| {
         Error::Argument(format!("{}: a raw volume needs --dims X,Y,Z (and --dtype, unless u8)", path.display()))
     })?;
+    if let [x, y, 0] = dims {
+        let path = path.display();
+        return Err(Error::Argument(format!(
+            "{path}: --dims {x},{y}: a volume has three sides; expected --dims X,Y,Z"
+        )));
+    }
     let dtype = opts.dtype.unwrap_or(Dtype::U8);
     let expected = byte_len(path, dims, dtype)?;
     if bytes.len() as u64 != expected {

@@ -239,7 +239,7 @@ fn values_are_those_stored_whatever_their_form() {
         let big = MadePage::new([4, 1], 16, 2, bytes_of([0i16, 1, 7, 12].map(i16::to_be_bytes)));
         assert_eq!(read_heights(&tiff(Form { big_endian: true, wide }, &[big]), "--height-scale 1"), expected);
         assert_eq!(
-            read_heights(&tiff(Form { big_endian: false, wide }, &[i16s.clone()]), "--height-scale 1"),
+            read_heights(&tiff(Form { big_endian: false, wide }, std::slice::from_ref(&i16s)), "--height-scale 1"),
             expected
         );
     }
@@ -279,7 +279,30 @@ fn every_compression_and_predictor_gives_the_same_values() {
     }
     assert_eq!(by(8, 3, 32, 3, deflated(&shuffled)), expected);
     let page = |compression: u16| MadePage::new([6, 4], 16, 1, plain.clone()).with(tags::COMPRESSION, &[compression]);
-    for (compression, name) in [(34_887, "LERC"), (50_001, "WebP"), (34_925, "LZMA"), (4711, "unknown")] {
+    let blob = |valid: lerc::bitmask::BitMask| {
+        let data = lerc::SampleData::F32(values.iter().map(|&v| v.into()).collect());
+        let image = lerc::Image {
+            width: 6,
+            height: 4,
+            data_type: lerc::DataType::Float,
+            valid_masks: vec![valid],
+            data,
+            ..lerc::Image::default()
+        };
+        lerc::encode(&image, lerc::Precision::Lossless).unwrap()
+    };
+    let whole = blob(lerc::bitmask::BitMask::all_valid(24));
+    assert_eq!(by(34_887, 1, 32, 3, whole.clone()), expected);
+    let twice = |method: u16, strip: Vec<u8>| {
+        let page = MadePage::new([6, 4], 32, 3, strip).with(tags::COMPRESSION, &[34_887]);
+        read_heights(&little(&[page.with(tags::LERC_PARAMETERS, &[4, method])]), "--height-scale 1")
+    };
+    assert_eq!(twice(1, deflated(&whole)), expected);
+    assert_eq!(twice(2, zstd::encode_all(&whole[..], 3).unwrap()), expected);
+    let mut holes = lerc::bitmask::BitMask::all_valid(24);
+    holes.set_invalid(5);
+    assert_eq!(by(34_887, 1, 32, 3, blob(holes))[4..7], [expected[4], None, expected[6]]);
+    for (compression, name) in [(50_001, "WebP"), (34_925, "LZMA"), (4711, "unknown")] {
         let e = refused(&little(&[page(compression)]), "");
         assert!(e.contains(name) && e.contains("deflate"), "{e}");
     }
@@ -300,6 +323,9 @@ fn of_several_bands_the_first_is_read_and_alpha_empties_pixels() {
     assert_eq!((found, about.left_out.len()), (vec![Some(1), None, Some(3), Some(4)], 0));
     let e = refused(&little(&[chunky.clone().with(tags::PHOTOMETRIC, &[2])]), "");
     assert!(e.contains("no heights") && e.contains("--rgb"), "{e}");
+    let (found, about) =
+        told("a.tif", &little(&[MadePage::new([2, 1], 8, 1, vec![1, 2]).with(tags::ORIENTATION, &[3])]), "");
+    assert!(found == some(&[1, 2]) && about.left_out[0].contains("orientation 3"), "{about}");
     let palette = MadePage::new([2, 1], 8, 1, vec![1, 2]).with(tags::PHOTOMETRIC, &[3]);
     assert!(refused(&little(&[palette]), "").contains("palette"));
     // Colours that code heights: 8000.1 m by Mapbox's formula.
