@@ -12,7 +12,7 @@
 //! # Size of points
 //!
 //! With voxels about as wide as points are apart, a third of all columns of a floor would stay empty. A point may fill a cube of
-//! voxels instead (`--point-size`). `auto` measures: of columns that lie between others at most eight apart, 99 % are to
+//! voxels instead (`--point-size`). `auto` measures: of columns that lie between others at most four apart, 97 % are to
 //! be filled. That is the default where nobody says how large a voxel is; who does gets a voxel a point.
 
 use std::io::Write;
@@ -20,6 +20,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
 use super::mesh::Mesh;
 use super::spots::{self, Spot};
@@ -28,7 +29,7 @@ use crate::format::TILE;
 use crate::pieces::Pieces;
 use crate::scratch::{self as file, File, read_at};
 use crate::srgb::Mean;
-use crate::{About, Error, Input, Result, Rgb};
+use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Points of a list that are written together.
 const TOGETHER: usize = 4096;
@@ -44,9 +45,9 @@ const MAX_STRETCH: f64 = 16.0;
 const MANY_COLUMNS: u64 = 1 << 26;
 const COLUMNS_A_POINT: u64 = 1024;
 /// Half of how wide a gap between columns may be that is still ground.
-const GAP: usize = 4;
+const GAP: usize = 2;
 /// Share of the ground that is to be closed.
-const CLOSED: f64 = 0.99;
+const CLOSED: f64 = 0.97;
 /// Fewer points are not ground.
 const FEW: u64 = 64;
 
@@ -777,44 +778,50 @@ impl Pieces for Points {
         let dims = [xs.len() as u32, self.dims[1], zs.len() as u32];
         // How far a point fills voxels below it on an axis, and above.
         let (down, up) = ((self.point_size - 1) / 2, self.point_size / 2);
+        let column = |x: u32, z: u32| (z - zs.start) * dims[0] + x - xs.start;
+        if self.point_size == 1 {
+            let mut spots = Vec::new();
+            self.records((zs.start / TILE) as usize..zs.end.div_ceil(TILE) as usize, |r| {
+                if xs.contains(&r.x) && zs.contains(&r.z) {
+                    spots.push(Spot { column: column(r.x, r.z), y: r.y, color: self.paint.color(r) });
+                }
+            })?;
+            return Ok(spots::piece(dims, spots, true));
+        }
+        // Points in and around the piece, by the columns that they fill; those in a column of their own come first.
         let near =
             |within: &Range<u32>, n: u32| within.start.saturating_sub(up)..within.end.saturating_add(down).min(n);
         let (near_xs, near_zs) = (near(&xs, self.dims[0]), near(&zs, self.dims[2]));
-        let width = near_xs.len() as u64;
-        let mut held: Vec<(u64, Rgb)> = Vec::new();
-        let mut spots = Vec::new();
-        let column = |x: u32, z: u32| (z - zs.start) * dims[0] + x - xs.start;
+        let cells = |v: u32, within: &Range<u32>| within.start.max(v.saturating_sub(down))..within.end.min(v + up + 1);
+        let mut filled: Vec<(u32, u16, bool, Rgb)> = Vec::new();
         self.records((near_zs.start / TILE) as usize..near_zs.end.div_ceil(TILE) as usize, |r| {
-            if xs.contains(&r.x) && zs.contains(&r.z) {
-                spots.push(Spot { column: column(r.x, r.z), y: r.y, color: self.paint.color(r) });
-            }
-            if self.point_size > 1 && near_xs.contains(&r.x) && near_zs.contains(&r.z) {
-                let number = u64::from(r.z - near_zs.start) * width + u64::from(r.x - near_xs.start);
-                held.push((number << 16 | u64::from(r.y), self.paint.color(r)));
-            }
-        })?;
-        if self.point_size > 1 {
-            // Voxels that points lie in keep the colours of these alone.
-            held.sort_unstable();
-            let mut around = Vec::new();
-            for same in held.chunk_by(|a, b| a.0 == b.0) {
-                let mut mean = Mean::default();
-                same.iter().for_each(|(_, color)| mean.add(*color));
-                let color = mean.get().expect("one point at least");
-                let (number, y) = (same[0].0 >> 16, (same[0].0 & 0xFFFF) as u32);
-                let (x, z) = (near_xs.start + (number % width) as u32, near_zs.start + (number / width) as u32);
-                let cells =
-                    |v: u32, within: Range<u32>| within.start.max(v.saturating_sub(down))..within.end.min(v + up + 1);
-                for (z, x) in cells(z, zs.clone()).flat_map(|z| cells(x, xs.clone()).map(move |x| (z, x))) {
-                    around.extend(cells(y, 0..dims[1]).map(|y| Spot { column: column(x, z), y: y as u16, color }));
+            if near_xs.contains(&r.x) && near_zs.contains(&r.z) {
+                let color = self.paint.color(r);
+                for z in cells(r.z, &zs) {
+                    let xs = cells(r.x, &xs);
+                    filled.extend(xs.map(|x| (column(x, z), r.y, (x, z) != (r.x, r.z), color)));
                 }
             }
-            let place = |s: &Spot| (s.column, s.y);
-            spots.sort_unstable();
-            around.retain(|s| spots.binary_search_by_key(&place(s), place).is_err());
-            spots.append(&mut around);
+        })?;
+        filled.par_sort_unstable();
+        let mut columns = ColumnsBuilder::new(dims[0], dims[1], dims[2]);
+        let (mut offsets, mut entries) = (vec![0u32], Vec::new());
+        let mut voxels = filled.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).peekable();
+        for number in 0..dims[0] * dims[2] {
+            while let Some(same) = voxels.next_if(|v| v[0].0 == number) {
+                let y = same[0].1;
+                let ys = cells(y.into(), &(0..dims[1]));
+                columns.push_run(Run::new(ys.start as u16, (ys.end - 1) as u16));
+                // Voxels that points lie in keep the colours of these alone; what is above and below takes the nearest.
+                let mut mean = Mean::default();
+                same.iter().filter(|s| s.2 == same[0].2).for_each(|s| mean.add(s.3));
+                entries.push((y, mean.get().expect("one point at least")));
+            }
+            columns.end_column();
+            offsets.push(entries.len() as u32);
         }
-        Ok(spots::piece(dims, spots, true))
+        let colors = Colors::Voxel { offsets, entries };
+        Ok(Input { columns: columns.finish(), colors, notes: Vec::new() })
     }
 
     fn input_bytes(&self) -> u64 {
