@@ -250,8 +250,8 @@ impl Body<'_> {
     /// The mesh, and how many bytes are left that are not blank.
     fn read(&self) -> Result<(Mesh, u64)> {
         let Header { form, elements, .. } = self.header;
-        let names = ["ASCII", "binary", "binary, big-endian"];
-        let mut mesh = Mesh::new(format!("PLY ({})", names[*form as usize]));
+        let names = ["ASCII", "binary", "big-endian"];
+        let mut mesh = Mesh::new(format!("{} PLY", names[*form as usize]));
         self.say_unread(&mut mesh);
         // Faces need the places of their corners, which may come after them.
         let vertices = elements.iter().position(|e| e.name == "vertex");

@@ -69,7 +69,7 @@ fn mesh_says_how_it_was_read() {
     let (_, about) = told("a.ply", &ply_box("", ""), "--voxel 0.5 --up z");
     assert_eq!(
         about.to_string(),
-        "read as PLY (ASCII) (mesh): z of the file is up; a voxel is 0.5 units wide; solid where a face touches"
+        "read as ASCII PLY (mesh): z of the file is up; a voxel is 0.5 units wide; solid where a face touches"
     );
     // A corner of the world, back in the file's coordinates.
     let [x, y, z] = about.affine.unwrap().map(|row| row[0] * 3.0 + row[1] * 5.0 + row[2] * 2.0 + row[3]);
@@ -272,7 +272,7 @@ mod obj {
         let mut outline = vec![[0.0, 0.0], [80.0, 0.0]];
         for tooth in (0..40).rev() {
             let x = 2.0 * f64::from(tooth);
-            outline.extend([[x + 1.0, 30.0], [x + 1.0, 2.0], [x, 2.0], [x, 30.0]].iter().rev());
+            outline.extend([[x + 1.0, 2.0], [x + 1.0, 30.0], [x, 30.0], [x, 2.0]]);
         }
         let text: String = outline.iter().map(|[x, z]| format!("v {x} {} {z}\n", x + z)).collect();
         let face: String = (1..=outline.len()).map(|i| format!(" {i}")).collect();
