@@ -294,7 +294,8 @@ impl Voxelized {
         let (low, high) = bounds_of(path, positions.iter().enumerate().filter(|(i, _)| used[*i]))?;
         let loose = used.iter().filter(|&&used| !used).count();
         if loose > 0 {
-            about.left_out.push(format!("{loose} points that no face uses"));
+            let points = if loose == 1 { "point" } else { "points" };
+            about.left_out.push(format!("{loose} {points} that no face uses"));
         }
         let scale = scale(path, low, high, opts, DEFAULT_SIZE)?;
         // In f32, as the corners are: what f64 knows better is noise of turns and decimal fractions, not another voxel.

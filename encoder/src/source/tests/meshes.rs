@@ -76,6 +76,22 @@ fn mesh_says_how_it_was_read() {
     assert_eq!([x, y, z], [1.5, 6.0 - 1.0, 2.5]);
 }
 
+/// What libFuzzer starts from.
+#[cfg(feature = "mesh")]
+#[test]
+fn seeds_of_meshes_survive_changed_bytes() {
+    let mut n = 0;
+    for name in ["stl", "obj", "ply", "gltf"] {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds").join(name);
+        for seed in fs::read_dir(folder).unwrap() {
+            let bytes = fs::read(seed.unwrap().path()).unwrap();
+            survives_changed_bytes(&format!("a.{name}"), &bytes[2..], "--size 16 --fill");
+            n += 1;
+        }
+    }
+    assert!(n >= 20, "{n} seeds");
+}
+
 #[cfg(feature = "mesh")]
 mod stl {
     use super::*;
@@ -192,7 +208,7 @@ mod obj {
         }
         // A corner that no face uses, behind the others: neither index nor box are touched by it.
         let (input, about) = read(&format!("\u{feff}{}", t.replacen('f', "v 9 9 9\nf", 1)));
-        assert_eq!((shape(&input), left_out(&about, "1 points that no face uses")), (BOX, true));
+        assert_eq!((shape(&input), left_out(&about, "1 point that no face uses")), (BOX, true));
         let (input, about) = read(&format!("{t}l 1 2 3\np 1\ncurv 0 1 1 2\nf 1 2\nwhat is this\n"));
         assert_eq!(shape(&input), BOX);
         for said in
