@@ -454,10 +454,8 @@ impl Scene<'_> {
                         let what = format!("a corner moves with joint {joint} of {}", joints.len());
                         return Err(wrong(self.reader.path, what));
                     };
-                    for k in 0..4 {
-                        for row in 0..4 {
-                            pull.0[k][row] += weight * joint[k][row];
-                        }
+                    for (to, by) in pull.0.as_flattened_mut().iter_mut().zip(joint.as_flattened()) {
+                        *to += weight * by;
                     }
                     pull.1 += weight;
                 }

@@ -383,7 +383,7 @@ impl Body<'_> {
             let names: Vec<String> = unread.map(|p| shown(&p.name)).collect();
             match names.as_slice() {
                 [] => {}
-                [few @ ..] if few.len() <= 6 => say(format!("{} of {:?}", few.join(", "), shown(&element.name))),
+                few if few.len() <= 6 => say(format!("{} of {:?}", few.join(", "), shown(&element.name))),
                 many => {
                     say(format!("{} and {} more of {:?}", many[..4].join(", "), many.len() - 4, shown(&element.name)))
                 }
