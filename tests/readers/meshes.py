@@ -1,6 +1,7 @@
 """Meshes: STL, OBJ, PLY and glTF, beside trimesh, numpy-stl, plyfile and pygltflib."""
 
 import re
+from importlib.metadata import version
 
 import numpy as np
 import plyfile
@@ -10,9 +11,9 @@ import trimesh
 from PIL import Image
 
 TRIMESH = f"trimesh {trimesh.__version__}"
-NUMPY_STL = f"numpy-stl {stl.__version__}"
-PLYFILE = f"plyfile {plyfile.__version__}"
-PYGLTFLIB = f"pygltflib {pygltflib.__version__}"
+NUMPY_STL = f"numpy-stl {version('numpy-stl')}"
+PLYFILE = f"plyfile {version('plyfile')}"
+PYGLTFLIB = f"pygltflib {version('pygltflib')}"
 
 BOX = np.array([(x, y, z) for x in (0, 4) for y in (0, 6) for z in (0, 8)], "f4")
 FACES = np.array(
@@ -101,7 +102,7 @@ def stls(planecast):
     of.save(str(path), mode=stl.Mode.ASCII)
     yield from by_trimesh(planecast, "STL", "text by numpy-stl", path)
 
-    text = "\n".join(b.export(file_type="stl_ascii") for b in boxes) + "\n"
+    text = "\n".join(b.export(file_type="stl_ascii").strip() for b in boxes) + "\n"
     path = put("three.stl")
     path.write_text(text)
     several = [m.vectors for m in stl.mesh.Mesh.from_multi_file(str(path), mode=stl.Mode.ASCII)]
@@ -154,15 +155,16 @@ def objs(planecast):
         path.write_text("".join("v %.2f %.2f %.2f\n" % p for p in grid) + "".join("f %d %d %d %d\n" % f for f in faces))
         shapes.append(look(planecast, path, "--voxel", "0.25", "--up", "z")[2:])
     yield "OBJ", "coordinates of maps: size and solid voxels, near and far", TRIMESH, shapes[0], shapes[1]
-    # Area of concave polygons, by the shoelace formula.
+    # A concave polygon.
     for k in range(6):
         outline = np.roll([(0, 4), (0, 0), (4, 0), (4, 1), (1, 1), (1, 4)], k, axis=0)
         path = put("l.obj")
         path.write_text("".join(f"v {a} {b} 0\n" for a, b in outline) + "f 1 2 3 4 5 6\n")
         _, triangles, dims, n = look(planecast, path, "--voxel", "0.01")
-        x, y = outline.T
-        area = abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
-        yield "OBJ", f"concave polygon from corner {k + 1}: area", f"numpy {np.__version__}", area, float(round(n * 1e-4, 1))
+        # Cells that an L of these corners touches, its edges included.
+        column, row = np.indices((400, 400))
+        cells = int(((column <= 100) | (row <= 100)).sum())
+        yield "OBJ", f"concave polygon from corner {k + 1}: voxels", f"numpy {np.__version__}", cells, n
     path = put("quad.obj")
     path.write_text("v 0 0 0\nv 8 0 0\nv 8 0 8\nv 0 0 8\nf 1 2 3 4\n")
     yield from by_trimesh(planecast, "OBJ", "square", path)

@@ -52,7 +52,10 @@ fn placed(place: &Matrix, p: [f64; 3]) -> [f64; 3] {
 }
 
 /// Scaled, then turned by a quaternion (x, y, z, w), then moved.
-fn transform(translation: [f64; 3], [x, y, z, w]: [f64; 4], scale: [f64; 3]) -> Matrix {
+fn transform(translation: [f64; 3], rotation: [f64; 4], scale: [f64; 3]) -> Matrix {
+    // Of length 1, says the format, but in as many digits as somebody wrote.
+    let length = rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let [x, y, z, w] = if length > 0.0 { rotation.map(|v| v / length) } else { [0.0, 0.0, 0.0, 1.0] };
     let columns = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)],
         [2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)],
@@ -451,10 +454,8 @@ impl Scene<'_> {
                         let what = format!("a corner moves with joint {joint} of {}", joints.len());
                         return Err(wrong(self.reader.path, what));
                     };
-                    for k in 0..4 {
-                        for row in 0..4 {
-                            pull.0[k][row] += weight * joint[k][row];
-                        }
+                    for (to, by) in pull.0.as_flattened_mut().iter_mut().zip(joint.as_flattened()) {
+                        *to += weight * by;
                     }
                     pull.1 += weight;
                 }

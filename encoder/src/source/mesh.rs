@@ -294,16 +294,20 @@ impl Voxelized {
         let (low, high) = bounds_of(path, positions.iter().enumerate().filter(|(i, _)| used[*i]))?;
         let loose = used.iter().filter(|&&used| !used).count();
         if loose > 0 {
-            about.left_out.push(format!("{loose} points that no face uses"));
+            let points = if loose == 1 { "point" } else { "points" };
+            about.left_out.push(format!("{loose} {points} that no face uses"));
         }
         let scale = scale(path, low, high, opts, DEFAULT_SIZE)?;
-        let sides = [0, 1, 2].map(|a| (((high[a] - low[a]) * scale).ceil() as u64).max(1));
+        // In f32, as the corners are: what f64 knows better is noise of turns and decimal fractions, not another voxel.
+        let sides = [0, 1, 2].map(|a| ((((high[a] - low[a]) * scale) as f32).ceil() as u64).max(1));
         let dims = world_dims(path, sides, "give a smaller --size")?;
         notes.push(format!("{} triangles, {scale:.6} voxels a unit of the mesh", triangles.len()));
         let positions: Vec<[f32; 3]> =
             positions.iter().map(|p| [0, 1, 2].map(|a| ((p[a] - low[a]) * scale) as f32)).collect();
         // An edge between two layers of voxels of the world.
-        let between = |p: [f32; 3], q: [f32; 3]| (0..3).any(|a| p[a] == q[a] && p[a].fract() == 0.0 && p[a] > 0.0 && p[a] < dims[a] as f32);
+        let between = |p: [f32; 3], q: [f32; 3]| {
+            (0..3).any(|a| p[a] == q[a] && p[a].fract() == 0.0 && p[a] > 0.0 && p[a] < dims[a] as f32)
+        };
         let any = triangles.iter().any(|t| {
             let [p, q, r] = t.map(|i| positions[i as usize]);
             between(p, q) || between(q, r) || between(r, p)

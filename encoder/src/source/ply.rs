@@ -250,8 +250,8 @@ impl Body<'_> {
     /// The mesh, and how many bytes are left that are not blank.
     fn read(&self) -> Result<(Mesh, u64)> {
         let Header { form, elements, .. } = self.header;
-        let names = ["ASCII", "binary", "binary, big-endian"];
-        let mut mesh = Mesh::new(format!("PLY ({})", names[*form as usize]));
+        let names = ["ASCII", "binary", "big-endian"];
+        let mut mesh = Mesh::new(format!("{} PLY", names[*form as usize]));
         self.say_unread(&mut mesh);
         // Faces need the places of their corners, which may come after them.
         let vertices = elements.iter().position(|e| e.name == "vertex");
@@ -383,7 +383,7 @@ impl Body<'_> {
             let names: Vec<String> = unread.map(|p| shown(&p.name)).collect();
             match names.as_slice() {
                 [] => {}
-                [few @ ..] if few.len() <= 6 => say(format!("{} of {:?}", few.join(", "), shown(&element.name))),
+                few if few.len() <= 6 => say(format!("{} of {:?}", few.join(", "), shown(&element.name))),
                 many => {
                     say(format!("{} and {} more of {:?}", many[..4].join(", "), many.len() - 4, shown(&element.name)))
                 }
