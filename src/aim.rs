@@ -164,7 +164,7 @@ mod tests {
     fn is_framed(pose: Pose) -> bool {
         let [left, right, bottom, top] = box_of(pose);
         let filled = ((right - left) / 2.0).max((top - bottom) / 2.0);
-        (left + right).abs() < 1e-6 && (bottom + top).abs() < 1e-6 && (filled - 0.75).abs() < 1e-6
+        (left + right).abs() < 1e-4 && (bottom + top).abs() < 1e-4 && (filled - 0.75).abs() < 1e-4
     }
 
     fn aim(look_at: Option<DVec3>, orbit: Option<Orbit>, fit: bool, top: bool) -> AimArgs {

@@ -875,6 +875,9 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
     if args.len() <= 1 {
         return exit(print(help::SHORT));
     }
+    if args.iter().any(|arg| matches!(arg.to_str(), Some("-q" | "--quiet"))) {
+        say::be_quiet();
+    }
     let parse = |args| help::command().try_get_matches_from(args).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match opens(args).and_then(parse) {
         Ok(cli) => cli,
@@ -888,9 +891,6 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    if cli.quiet {
-        say::be_quiet();
-    }
     guard::explain_lost_files();
     if !matches!(cli.command, Command::Encode(_) | Command::Merge(_) | Command::Fly(_)) {
         end_on_ctrl_c();

@@ -110,6 +110,8 @@ impl Picture {
         match ending.as_deref() {
             Some("png") => Ok(Picture::Png),
             None if path == Path::new(STDOUT) => Ok(Picture::Png),
+            // Refused as a folder, by who looks at what is there.
+            None if path.is_dir() => Ok(Picture::Png),
             Some("jpg" | "jpeg") => Ok(Picture::Jpeg),
             other => {
                 let what = other.map_or("a picture without an ending".to_owned(), |ending| format!(".{ending}"));

@@ -219,7 +219,10 @@ impl Pieces for Known {
 pub fn named(world: Box<dyn Pieces>, name: &std::path::Path) -> Box<dyn Pieces> {
     let mut about = world.about();
     if about == About::default() {
-        return world;
+        if !crate::open::is_procedural(name) {
+            return world;
+        }
+        about.kind = Some(crate::about::Kind::Procedural);
     }
     let text = name.to_string_lossy();
     about.source = match crate::remote::is_url(name) {

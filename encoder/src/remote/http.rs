@@ -107,13 +107,14 @@ impl Http {
         if let Some(range) = range {
             request = request.header(RANGE, format!("bytes={}-{}", range.start, range.end - 1));
         }
-        runtime()?.block_on(request.send()).map_err(|e| failed(&self.name, "reach", e))
+        // Its clock is set when it is sent: within the runtime.
+        runtime()?.block_on(async { request.send().await }).map_err(|e| failed(&self.name, "reach", e))
     }
 
     /// The body of an answer, which has `n` bytes.
     fn body(&self, mut response: Response, n: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        while let Some(part) = runtime()?.block_on(response.chunk()).map_err(|e| failed(&self.name, "read", e))? {
+        while let Some(part) = runtime()?.block_on(async { response.chunk().await }).map_err(|e| failed(&self.name, "read", e))? {
             bytes.extend_from_slice(&part);
             if bytes.len() as u64 > n {
                 break;
@@ -127,7 +128,7 @@ impl Http {
 
     /// All bytes of an answer into a file.
     fn save(&self, mut response: Response, out: &mut File) -> Result<()> {
-        while let Some(part) = runtime()?.block_on(response.chunk()).map_err(|e| failed(&self.name, "read", e))? {
+        while let Some(part) = runtime()?.block_on(async { response.chunk().await }).map_err(|e| failed(&self.name, "read", e))? {
             out.write_all(&part).map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e))?;
         }
         Ok(())
