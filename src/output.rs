@@ -136,10 +136,12 @@ fn pixels(frame: &Frame) -> Vec<u8> {
 }
 
 fn write_image(encoder: impl image::ImageEncoder, frame: &Frame) -> io::Result<()> {
-    encoder.write_image(&pixels(frame), frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(|e| match e {
-        image::ImageError::IoError(e) => e,
-        e => io::Error::other(e),
-    })
+    encoder.write_image(&pixels(frame), frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(
+        |e| match e {
+            image::ImageError::IoError(e) => e,
+            e => io::Error::other(e),
+        },
+    )
 }
 
 /// A frame's colours as JPEG.

@@ -341,7 +341,11 @@ fn over(ground: &Ground, fov: f64, still: Option<Pose>) -> Path {
         // Below the view from which it comes.
         let (sin, cos) = still.yaw.to_radians().sin_cos();
         cos.atan2(-sin)
-    } else if away.length() > 0.02 * center.length() { away.y.atan2(away.x) } else { TAU / 8.0 };
+    } else if away.length() > 0.02 * center.length() {
+        away.y.atan2(away.x)
+    } else {
+        TAU / 8.0
+    };
     let place = |u: f64| {
         let angle = start + u * TAU;
         center + 0.66 * center * (1.0 + 0.1 * (3.0 * angle).sin()) * DVec2::from_angle(angle)
@@ -533,12 +537,21 @@ mod tests {
             for (x, z) in (0..columns.nz()).flat_map(|z| (0..columns.nx()).map(move |x| (x, z))) {
                 let top = f64::from(columns.column(x, z)[0].end());
                 for corner in 0..8u32 {
-                    let at = DVec3::new(f64::from(x + (corner & 1)), f64::from(corner >> 2) * top, f64::from(z + (corner >> 1 & 1)));
+                    let at = DVec3::new(
+                        f64::from(x + (corner & 1)),
+                        f64::from(corner >> 2) * top,
+                        f64::from(z + (corner >> 1 & 1)),
+                    );
                     let d = at - still.eye;
                     let (x, y) = (d.dot(basis.right) / half.x, d.dot(basis.up) / half.y);
                     let depth = d.dot(basis.forward);
                     assert!(depth > 0.0);
-                    ends = [ends[0].min(x / depth), ends[1].max(x / depth), ends[2].min(y / depth), ends[3].max(y / depth)];
+                    ends = [
+                        ends[0].min(x / depth),
+                        ends[1].max(x / depth),
+                        ends[2].min(y / depth),
+                        ends[3].max(y / depth),
+                    ];
                 }
             }
             let filled = ((ends[1] - ends[0]) / 2.0).max((ends[3] - ends[2]) / 2.0);

@@ -11,11 +11,7 @@ use crate::resident::Resident;
 use crate::specialize::Features;
 
 #[cfg(not(target_arch = "wasm32"))]
-use {
-    crate::Error,
-    planecast_encoder::encode::Watch,
-    std::sync::Arc,
-};
+use {crate::Error, planecast_encoder::encode::Watch, std::sync::Arc};
 
 /// A scene, ready to be drawn and walked on.
 pub struct World {
