@@ -18,12 +18,12 @@ use planecast_encoder::write::{keep_input, resolved};
 use planecast_encoder::{Error as FileError, Scene, guard, info, note, say};
 use serde_json::json;
 
+use crate::aim::{AimArgs, Typed};
 #[cfg(feature = "report")]
 use crate::bench::{
     self,
     parts::{Extent, Part},
 };
-use crate::aim::{AimArgs, Typed};
 use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::options::SAMPLES_LIMIT;
@@ -898,6 +898,9 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
     if args.len() <= 1 {
         return exit(print(help::SHORT));
     }
+    if args.iter().any(|arg| matches!(arg.to_str(), Some("-q" | "--quiet"))) {
+        say::be_quiet();
+    }
     let parse = |args| help::command().try_get_matches_from(args).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match opens(args).and_then(parse) {
         Ok(cli) => cli,
@@ -911,9 +914,6 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    if cli.quiet {
-        say::be_quiet();
-    }
     guard::explain_lost_files();
     if !matches!(cli.command, Command::Encode(_) | Command::Merge(_) | Command::Fly(_)) {
         end_on_ctrl_c();
@@ -951,13 +951,14 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
 /// `planecast FILE …` as the command that opens it: the window where one can be shown, else a picture beside it.
 fn opens(mut args: Vec<OsString>) -> Result<Vec<OsString>, clap::Error> {
     let is_flag = |arg: &OsString| arg.as_encoded_bytes().starts_with(b"-");
-    let Some(at) = args.iter().skip(1).position(|arg| !matches!(arg.to_str(), Some("-q" | "--quiet"))).map(|i| i + 1) else {
+    let Some(at) = args.iter().skip(1).position(|arg| !matches!(arg.to_str(), Some("-q" | "--quiet"))).map(|i| i + 1)
+    else {
         return Ok(args);
     };
     let first = &args[at];
-    let command = first.to_str().is_some_and(|name| {
-        name == "help" || help::command().get_subcommands().any(|c| c.get_name() == name)
-    });
+    let command = first
+        .to_str()
+        .is_some_and(|name| name == "help" || help::command().get_subcommands().any(|c| c.get_name() == name));
     if is_flag(first) || command {
         return Ok(args);
     }
@@ -976,8 +977,15 @@ fn opens(mut args: Vec<OsString>) -> Result<Vec<OsString>, clap::Error> {
     args.insert(at, if window { "view" } else { "render" }.into());
     let given = args.iter().any(|arg| matches!(arg.to_str(), Some("-o" | "--output")));
     if !window && !given {
-        let file = name.file_name().map_or_else(|| "picture".into(), |name| PathBuf::from(name.to_string_lossy().split(['?', ':']).next().unwrap_or_default()));
-        let beside = if planecast_encoder::open::is_procedural(&name) || name.to_string_lossy().contains("://") { file } else { name.with_file_name(file) };
+        let text = name.to_string_lossy();
+        let elsewhere = planecast_encoder::open::is_procedural(&name) || text.contains("://");
+        let beside = match elsewhere {
+            true => {
+                let path = text.split('?').next().unwrap_or_default().trim_end_matches('/');
+                PathBuf::from(path.rsplit(['/', ':']).next().unwrap_or("picture"))
+            }
+            false => name.clone(),
+        };
         let still = beside.with_extension("png");
         // A picture that is the input itself is not written over.
         let still = if still == name { beside.with_extension("still.png") } else { still };

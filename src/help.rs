@@ -59,20 +59,68 @@ const EXAMPLES: &[(&str, &str)] = &[
 
 /// Groups of flags, by their names; what is in none of them stays where it is.
 const GROUPS: &[(&str, &[&str])] = &[
-    ("Camera", &["eye", "yaw", "pitch", "roll", "fov", "look-at", "orbit", "fit", "top", "path", "tour", "cameras", "projection"]),
+    (
+        "Camera",
+        &[
+            "eye",
+            "yaw",
+            "pitch",
+            "roll",
+            "fov",
+            "look-at",
+            "orbit",
+            "fit",
+            "top",
+            "path",
+            "tour",
+            "cameras",
+            "projection",
+        ],
+    ),
     (
         "Picture",
         &[
-            "size", "shading", "fog", "sun", "shadows", "sky", "view-distance", "repeat", "frames", "fps", "ramp",
-            "exaggeration", "smooth", "annotate", "encoder", "window", "full-screen", "screenshot-size", "transfer",
+            "size",
+            "shading",
+            "fog",
+            "sun",
+            "shadows",
+            "sky",
+            "view-distance",
+            "repeat",
+            "frames",
+            "fps",
+            "ramp",
+            "exaggeration",
+            "smooth",
+            "annotate",
+            "encoder",
+            "window",
+            "full-screen",
+            "screenshot-size",
+            "transfer",
         ],
     ),
-    ("Quality", &["preset", "lod", "planes", "samples", "remap", "device", "threads", "target-fps", "ssao-samples", "memory"]),
+    (
+        "Quality",
+        &["preset", "lod", "planes", "samples", "remap", "device", "threads", "target-fps", "ssao-samples", "memory"],
+    ),
     (
         "Expert",
         &[
-            "kernel", "spacing", "cull", "equidistant", "no-gap-fill", "f64", "specialize", "skip-broken", "script",
-            "residency", "memory-gpu", "stream", "timeline",
+            "kernel",
+            "spacing",
+            "cull",
+            "equidistant",
+            "no-gap-fill",
+            "f64",
+            "specialize",
+            "skip-broken",
+            "script",
+            "residency",
+            "memory-gpu",
+            "stream",
+            "timeline",
         ],
     ),
 ];
@@ -149,7 +197,8 @@ impl ManArgs {
         let mut pages = vec![("planecast.1".to_owned(), command.clone())];
         for sub in command.get_subcommands().filter(|c| c.get_name() != "help") {
             let name = format!("planecast-{}", sub.get_name());
-            pages.push((format!("{name}.1"), sub.clone().name(&*name.leak())));
+            let examples = sub.get_before_help().cloned().unwrap_or_default();
+            pages.push((format!("{name}.1"), sub.clone().name(&*name.leak()).after_help(examples)));
         }
         for (name, page) in pages {
             output::write(&folder.join(name), |out| clap_mangen::Man::new(page).render(out))?.finish()?;

@@ -6,6 +6,9 @@ use std::process::ExitCode;
 static ALLOCATOR: planecast_encoder::guard::Allocator = planecast_encoder::guard::Allocator;
 
 fn main() -> ExitCode {
+    // Faults are told in plain words. The library that says that memory is out looks here, whatever the program has to say.
+    // SAFETY: no other thread has been started that could read the environment meanwhile.
+    unsafe { std::env::set_var("RUST_BACKTRACE", "0") };
     // Without a display Mesa's device-select layer, which picks among adapters as this program does itself, only
     // complains on stderr.
     let set = |name| std::env::var_os(name).is_some();
@@ -19,7 +22,10 @@ fn main() -> ExitCode {
         let what = panic.payload_as_str().unwrap_or("unknown").replace('\n', " ");
         planecast_encoder::guard::last_word();
         // Threads are asked for in libraries, too, which take them for granted.
-        if planecast_encoder::guard::is_short_of_memory() || what.contains("spawn thread") || what.contains("ThreadPool") {
+        if planecast_encoder::guard::is_short_of_memory()
+            || what.contains("spawn thread")
+            || what.contains("ThreadPool")
+        {
             planecast_encoder::say!(
                 "planecast: out of memory: {what}; raise the system's limit (ulimit -v), or ask for less (--memory, --size, --threads)"
             );

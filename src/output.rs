@@ -110,6 +110,8 @@ impl Picture {
         match ending.as_deref() {
             Some("png") => Ok(Picture::Png),
             None if path == Path::new(STDOUT) => Ok(Picture::Png),
+            // Refused as a folder, by who looks at what is there.
+            None if path.is_dir() => Ok(Picture::Png),
             Some("jpg" | "jpeg") => Ok(Picture::Jpeg),
             other => {
                 let what = other.map_or("a picture without an ending".to_owned(), |ending| format!(".{ending}"));
@@ -134,10 +136,12 @@ fn pixels(frame: &Frame) -> Vec<u8> {
 }
 
 fn write_image(encoder: impl image::ImageEncoder, frame: &Frame) -> io::Result<()> {
-    encoder.write_image(&pixels(frame), frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(|e| match e {
-        image::ImageError::IoError(e) => e,
-        e => io::Error::other(e),
-    })
+    encoder.write_image(&pixels(frame), frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(
+        |e| match e {
+            image::ImageError::IoError(e) => e,
+            e => io::Error::other(e),
+        },
+    )
 }
 
 /// A frame's colours as JPEG.

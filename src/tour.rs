@@ -82,7 +82,7 @@ const FILLED_BY_TERRAIN: f64 = 0.92;
 
 /// Degrees from which an object is seen first, and a terrain.
 const SIDE_OF_OBJECT: [f64; 2] = [-29.0, -22.0];
-const SIDE_OF_TERRAIN: [f64; 2] = [18.0, -30.0];
+const SIDE_OF_TERRAIN: [f64; 2] = [18.0, -34.0];
 
 /// What is solid in a scene, as coarsely as a picture's frame needs to know.
 pub struct Subject {
@@ -97,7 +97,7 @@ pub struct Subject {
 
 impl Subject {
     /// Columns a side of the level that is looked at, at most.
-    const COLUMNS: u32 = 192;
+    const COLUMNS: u32 = 128;
 
     pub fn new(scene: &Scene) -> Subject {
         let level = scene.levels.iter().position(|l| l.solid.nx().max(l.solid.nz()) <= Subject::COLUMNS);
@@ -165,19 +165,33 @@ impl Subject {
             .map(|c| c - self.center())
             .map(|d| DVec3::new(d.dot(basis.right), d.dot(basis.up), d.dot(basis.forward)))
             .collect();
-        // An eye at (x, y, z) sees a corner within the half extents where |across − x| ≤ half · (along − z). On each axis the
-        // farthest eye that the two sides need, and between them the middle.
+        // An eye at (x, y, z) sees a corner within the half extents where |across − x| ≤ half · (along − z): on each axis the
+        // nearest eye that the two sides allow.
         let axis = |of: fn(&DVec3) -> f64, half: f64| {
             let sum = along.iter().map(|d| of(d) - half * d.z).fold(f64::NEG_INFINITY, f64::max);
             let difference = along.iter().map(|d| -of(d) - half * d.z).fold(f64::NEG_INFINITY, f64::max);
             // x ≥ sum + half·z and −x ≥ difference + half·z.
-            ((sum - difference) / 2.0, -(sum + difference) / (2.0 * half))
+            -(sum + difference) / (2.0 * half)
         };
-        let (x, z_across) = axis(|d| d.x, half.x);
-        let (y, z_up) = axis(|d| d.y, half.y);
         // And out of the box: the nearest corner is in front of the eye.
         let nearest = along.iter().map(|d| d.z).fold(f64::INFINITY, f64::min);
-        let z = z_across.min(z_up).min(nearest - 1e-3 * (self.high - self.low).length());
+        let z = axis(|d| d.x, half.x).min(axis(|d| d.y, half.y)).min(nearest - 1e-3 * (self.high - self.low).length());
+        // Where both ends of what is seen are equally far from the picture's middle.
+        let middle = |of: fn(&DVec3) -> f64| {
+            let ends = |at: f64| {
+                let seen = along.iter().map(|d| (of(d) - at) / (d.z - z));
+                seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+            };
+            let size = (self.high - self.low).length();
+            let (mut low, mut high) = (-size, size);
+            for _ in 0..24 {
+                let at = (low + high) / 2.0;
+                let (least, most) = ends(at);
+                if least + most > 0.0 { low = at } else { high = at }
+            }
+            (low + high) / 2.0
+        };
+        let (x, y) = (middle(|d| d.x), middle(|d| d.y));
         let eye = self.center() + x * basis.right + y * basis.up + z * basis.forward;
         Pose { eye, ..pose }
     }
@@ -327,7 +341,11 @@ fn over(ground: &Ground, fov: f64, still: Option<Pose>) -> Path {
         // Below the view from which it comes.
         let (sin, cos) = still.yaw.to_radians().sin_cos();
         cos.atan2(-sin)
-    } else if away.length() > 0.02 * center.length() { away.y.atan2(away.x) } else { TAU / 8.0 };
+    } else if away.length() > 0.02 * center.length() {
+        away.y.atan2(away.x)
+    } else {
+        TAU / 8.0
+    };
     let place = |u: f64| {
         let angle = start + u * TAU;
         center + 0.66 * center * (1.0 + 0.1 * (3.0 * angle).sin()) * DVec2::from_angle(angle)
@@ -501,6 +519,45 @@ mod tests {
             }
             let turns = (poses[599].yaw - poses[0].yaw) / 360.0;
             assert!((poses[599].eye - poses[0].eye).length() < 1e-9 && (turns.abs() - 1.0).abs() < 1e-9, "{turns}");
+        }
+    }
+
+    #[test]
+    fn tour_begins_with_the_good_view_of_the_whole() {
+        let hills = terrain(300, 40, 260, |x, z| 4 + (x * 7 + z * 5) % 23);
+        for columns in [hills, terrain(20, 60, 20, |x, _| 30 + x)] {
+            let scene = scene(columns);
+            let (first, still) = (tour(&scene, USUAL).at(0.0), still(&scene, USUAL));
+            assert!((first.eye - still.eye).length() < 1e-9 && first.yaw == still.yaw && first.pitch == still.pitch);
+            let camera = still.camera(USUAL.size);
+            let (basis, half) = (camera.basis(), camera.half_extent());
+            let dims = DVec3::from(scene.dims().map(f64::from));
+            let columns = &scene.levels[0].solid;
+            let mut ends = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+            for (x, z) in (0..columns.nz()).flat_map(|z| (0..columns.nx()).map(move |x| (x, z))) {
+                let top = f64::from(columns.column(x, z)[0].end());
+                for corner in 0..8u32 {
+                    let at = DVec3::new(
+                        f64::from(x + (corner & 1)),
+                        f64::from(corner >> 2) * top,
+                        f64::from(z + (corner >> 1 & 1)),
+                    );
+                    let d = at - still.eye;
+                    let (x, y) = (d.dot(basis.right) / half.x, d.dot(basis.up) / half.y);
+                    let depth = d.dot(basis.forward);
+                    assert!(depth > 0.0);
+                    ends = [
+                        ends[0].min(x / depth),
+                        ends[1].max(x / depth),
+                        ends[2].min(y / depth),
+                        ends[3].max(y / depth),
+                    ];
+                }
+            }
+            let filled = ((ends[1] - ends[0]) / 2.0).max((ends[3] - ends[2]) / 2.0);
+            let expected = if dims.x > 100.0 { FILLED_BY_TERRAIN } else { FILLED_BY_OBJECT };
+            assert!((filled - expected).abs() < 0.02, "{filled} of {expected}");
+            assert!((ends[0] + ends[1]).abs() < 0.02 && (ends[2] + ends[3]).abs() < 0.02, "{ends:?}");
         }
     }
 

@@ -250,7 +250,12 @@ fn render_and_fly_take_broken_tiles_as_empty_where_asked() {
 /// Runs a command by a shell, its standard error and output as the line says.
 #[cfg(unix)]
 fn shell(dir: &Path, line: &str) -> Output {
-    Command::new("sh").args(["-c", line]).env("planecast", env!("CARGO_BIN_EXE_planecast")).current_dir(dir).output().unwrap()
+    Command::new("sh")
+        .args(["-c", line])
+        .env("planecast", env!("CARGO_BIN_EXE_planecast"))
+        .current_dir(dir)
+        .output()
+        .unwrap()
 }
 
 #[cfg(unix)]
@@ -307,7 +312,9 @@ fn encode_that_plans_writes_no_scene() {
 fn render_writes_what_the_name_says() {
     let dir = workplace();
     let how = "--size 40x30 --device cpu --eye -5,30,-2 --yaw 140 --pitch -40";
-    for (name, format) in [("a.png", image::ImageFormat::Png), ("a.jpg", image::ImageFormat::Jpeg), ("b.JPEG", image::ImageFormat::Jpeg)] {
+    for (name, format) in
+        [("a.png", image::ImageFormat::Png), ("a.jpg", image::ImageFormat::Jpeg), ("b.JPEG", image::ImageFormat::Jpeg)]
+    {
         succeeds(dir.path(), &format!("render hills.pcast -o {name} {how}"));
         let bytes = fs::read(dir.path().join(name)).unwrap();
         assert_eq!(image::guess_format(&bytes).unwrap(), format, "{name}");
@@ -357,7 +364,7 @@ fn commands_take_inputs_as_well_as_scenes() {
     // Options of the reader whose names are taken are there under others.
     assert!(fails(dir.path(), &format!("render {input} -o c.png --input-size x")).1.contains("--input-size"));
     assert!(fails(dir.path(), &format!("render {input} -o c.png --dtype u7")).1.contains("possible values: u8"));
-    assert!(fails(dir.path(), &format!("render {input} -o c.png --dims 2,x,3")).1.contains("three whole numbers"));
+    assert!(fails(dir.path(), "render v.raw -o c.png --dims 2,x,3").1.contains("three whole numbers"));
     assert_eq!(names(dir.path()), ["a.png", "b.png", "frames", "hills.pcast", "v.pcast", "v.raw"]);
 }
 
@@ -407,7 +414,7 @@ fn help_begins_with_examples_and_the_rest_is_made_of_it() {
     }
     assert!(succeeds(dir.path(), "--version").contains("built with "));
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
-        assert!(succeeds(dir.path(), &format!("completions {shell}")).contains("--look-at"), "{shell}");
+        assert!(succeeds(dir.path(), &format!("completions {shell}")).contains("look-at"), "{shell}");
     }
     succeeds(dir.path(), "man -o man");
     let pages = names(&dir.path().join("man"));
@@ -445,29 +452,32 @@ fn scenes_keep_what_they_were_made_of() {
 #[test]
 fn limits_of_memory_end_in_words() {
     let dir = workplace();
+    // What the program itself takes is the system's business.
+    let runs = |kib: &u32| {
+        shell(dir.path(), &format!("ulimit -c 0; ulimit -v {kib}; exec $planecast --version")).status.success()
+    };
+    let least = (20_000..1_000_000).step_by(20_000).find(runs).unwrap();
+    let mut refused = 0;
     for line in [
-        "encode procedural:terrain?size=2048 -o s.pcast --threads 1",
-        "render procedural:terrain?size=1024 -o p.png --size 1600x1200 --device cpu",
-        "fly hills.pcast -o frames --frames 2 --size 4096x4096 --device cpu",
-        "info procedural:rocks?size=256",
+        "encode procedural:terrain?size=256 -o s.pcast",
+        "render procedural:rocks?size=100 -o p.png --size 1600x1200 --device cpu",
     ] {
-        let mut refused = 0;
-        for kib in [60_000, 100_000, 140_000, 200_000, 300_000, 400_000] {
+        for kib in [5_000, 30_000, 90_000].map(|more| least + more) {
             let output = shell(dir.path(), &format!("ulimit -c 0; ulimit -v {kib}; exec $planecast {line}"));
             let said = String::from_utf8_lossy(&output.stderr);
             let status = output.status.code();
-            assert!(matches!(status, Some(0 | 1 | 127)), "{line} in {kib} KiB: {:?}: {said}", output.status);
+            assert!(matches!(status, Some(0 | 1)), "{line} in {kib} KiB: {:?}: {said}", output.status);
             if status == Some(1) {
                 refused += 1;
-                assert!(said.contains("emory") && !said.contains("please report"), "{line} in {kib} KiB: {said}");
+                let plain = said.contains("emory") && !said.contains("please report") && !said.contains("backtrace");
+                assert!(plain, "{line} in {kib} KiB: {said}");
             }
-            _ = fs::remove_dir_all(dir.path().join("frames"));
-        }
-        assert!(refused > 0, "{line}");
-        for file in names(dir.path()) {
-            assert!(["hills.pcast", "s.pcast", "p.png"].contains(&&*file), "{line} leaves {file}");
+            for file in names(dir.path()) {
+                assert!(["hills.pcast", "s.pcast", "p.png"].contains(&&*file), "{line} leaves {file}");
+            }
         }
     }
+    assert!(refused > 0);
 }
 
 #[cfg(unix)]
@@ -475,8 +485,9 @@ fn limits_of_memory_end_in_words() {
 fn a_killed_program_leaves_nothing_that_the_same_command_does_not_tidy_away() {
     let dir = workplace();
     let mut command = Command::new(env!("CARGO_BIN_EXE_planecast"));
-    let line = "encode procedural:terrain?size=2048 -o s.pcast --threads 1";
-    let mut child = command.args(line.split_whitespace()).current_dir(dir.path()).stderr(Stdio::null()).spawn().unwrap();
+    let line = "encode procedural:terrain?size=1024 -o s.pcast --threads 1";
+    let mut child =
+        command.args(line.split_whitespace()).current_dir(dir.path()).stderr(Stdio::null()).spawn().unwrap();
     while names(dir.path()).len() < 2 {
         assert!(child.try_wait().unwrap().is_none(), "it ended too soon");
         std::thread::sleep(std::time::Duration::from_millis(1));

@@ -266,7 +266,9 @@ fn report_leaves_every_file_and_refuses_another_folder() {
         max_error: None,
     };
     let mut told = Vec::new();
-    let choice = planecast::report::report(&scene, &Default::default(), &job, &mut |what| told.push(what.to_owned())).unwrap().unwrap();
+    let choice = planecast::report::report(&scene, &Default::default(), &job, &mut |what| told.push(what.to_owned()))
+        .unwrap()
+        .unwrap();
     assert!(choice.contains("--device cpu"), "{choice}");
     assert!(
         told.iter().any(|t| t.contains("pose 4 of 4")) && told.iter().any(|t| t.contains("round 1 of 1")),
@@ -299,9 +301,11 @@ fn report_leaves_every_file_and_refuses_another_folder() {
     assert_eq!(std::fs::read(folder.join(journal::NAME)).unwrap(), before, "nothing was measured twice");
     assert!(told.iter().all(|t| !t.contains("pose")), "{told:?}");
 
-    let error = planecast::report::report(&scene, &Default::default(), &Job { folder: dir.path(), ..job }, &mut |_| {}).unwrap_err();
+    let error = planecast::report::report(&scene, &Default::default(), &Job { folder: dir.path(), ..job }, &mut |_| {})
+        .unwrap_err();
     assert!(error.to_string().ends_with("is a folder with other files and no report's; name a new folder"), "{error}");
-    let error = planecast::report::report(&scene, &Default::default(), &Job { folder: &scene, ..job }, &mut |_| {}).unwrap_err();
+    let error = planecast::report::report(&scene, &Default::default(), &Job { folder: &scene, ..job }, &mut |_| {})
+        .unwrap_err();
     assert!(error.to_string().ends_with("is a file; name a folder for the report"), "{error}");
 }
 

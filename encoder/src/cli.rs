@@ -211,7 +211,8 @@ impl clap::Args for InputArgs {
                 stand_in = stand_in.help(help.clone());
             }
             if arg.get_action().takes_values() {
-                let names = arg.get_value_names().unwrap_or_default().iter().map(|name| &*name.as_str().to_owned().leak());
+                let names =
+                    arg.get_value_names().unwrap_or_default().iter().map(|name| &*name.as_str().to_owned().leak());
                 stand_in = stand_in.value_names(names.collect::<Vec<&'static str>>());
                 let values = arg.get_possible_values();
                 stand_in = match values.is_empty() {

@@ -6,12 +6,12 @@ use rayon::prelude::*;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
+use crate::about::Short;
 use crate::features::Named;
 use crate::format::{self, Section, TileEntry};
 use crate::forms::{Forms, Lists, Painted, Table};
 use crate::read::{Blob, Modes};
 use crate::write::general_lens;
-use crate::about::Short;
 use crate::{About, ColorMode, Encoding, Feature, MipRule, PcastFile, Result, memory};
 
 /// The figures of `planecast info`. Byte counts are those of the file: tiles with equal content are stored, and

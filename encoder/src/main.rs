@@ -21,6 +21,9 @@ enum Command {
 static ALLOCATOR: planecast_encoder::guard::Allocator = planecast_encoder::guard::Allocator;
 
 fn main() -> ExitCode {
+    // Faults are told in plain words. The library that says that memory is out looks here, whatever the program has to say.
+    // SAFETY: no other thread has been started that could read the environment meanwhile.
+    unsafe { std::env::set_var("RUST_BACKTRACE", "0") };
     planecast_encoder::guard::explain_lost_files();
     let done = match Command::parse() {
         Command::Encode(args) => args.run(),

@@ -32,13 +32,21 @@ impl Unfinished {
         #[cfg(target_os = "linux")]
         {
             use std::os::unix::fs::OpenOptionsExt;
-            let unnamed = OpenOptions::new().read(true).write(true).custom_flags(libc::O_TMPFILE).mode(0o666).open(folder);
+            let unnamed =
+                OpenOptions::new().read(true).write(true).custom_flags(libc::O_TMPFILE).mode(0o666).open(folder);
             match unnamed {
                 Ok(file) => {
                     let _ = file.try_lock();
                     return Ok(Unfinished { file, named: None });
                 }
-                Err(e) if matches!(e.kind(), ErrorKind::PermissionDenied | ErrorKind::StorageFull | ErrorKind::ReadOnlyFilesystem) => return Err(e),
+                Err(e)
+                    if matches!(
+                        e.kind(),
+                        ErrorKind::PermissionDenied | ErrorKind::StorageFull | ErrorKind::ReadOnlyFilesystem
+                    ) =>
+                {
+                    return Err(e);
+                }
                 // A file system that has none.
                 Err(_) => {}
             }
@@ -109,7 +117,8 @@ fn link(file: &File, to: &Path) -> Result<()> {
     let from = CString::new(format!("/proc/self/fd/{}", file.as_raw_fd()))?;
     let to = CString::new(to.as_os_str().as_bytes())?;
     // SAFETY: two strings that end in 0.
-    let done = unsafe { libc::linkat(libc::AT_FDCWD, from.as_ptr(), libc::AT_FDCWD, to.as_ptr(), libc::AT_SYMLINK_FOLLOW) };
+    let done =
+        unsafe { libc::linkat(libc::AT_FDCWD, from.as_ptr(), libc::AT_FDCWD, to.as_ptr(), libc::AT_SYMLINK_FOLLOW) };
     if done == 0 { Ok(()) } else { Err(Error::last_os_error()) }
 }
 

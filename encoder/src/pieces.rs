@@ -219,11 +219,21 @@ impl Pieces for Known {
 pub fn named(world: Box<dyn Pieces>, name: &std::path::Path) -> Box<dyn Pieces> {
     let mut about = world.about();
     if about == About::default() {
-        return world;
+        if !crate::open::is_procedural(name) {
+            return world;
+        }
+        about.kind = Some(crate::about::Kind::Procedural);
     }
     let text = name.to_string_lossy();
     about.source = match crate::remote::is_url(name) {
-        true => text.split(['?', '#']).next().unwrap_or_default().trim_end_matches('/').rsplit('/').next().map(str::to_owned),
+        true => text
+            .split(['?', '#'])
+            .next()
+            .unwrap_or_default()
+            .trim_end_matches('/')
+            .rsplit('/')
+            .next()
+            .map(str::to_owned),
         false if crate::open::is_procedural(name) => Some(text.into_owned()),
         false => name.file_name().map(|name| name.to_string_lossy().into_owned()),
     }

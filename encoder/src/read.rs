@@ -1516,7 +1516,9 @@ mod tests {
             let plain = opened(written_with(&scene, features)).unwrap();
             let mut bytes = std::io::Cursor::new(Vec::new());
             let modes = Modes { encoding: mode.0, color: mode.1 };
-            let mut out = SceneWriter::new(&mut bytes, Path::new("a"), scene.dims(), modes, scene.mip_rule, &About::default()).unwrap();
+            let mut out =
+                SceneWriter::new(&mut bytes, Path::new("a"), scene.dims(), modes, scene.mip_rule, &About::default())
+                    .unwrap();
             for entry in plain.entries() {
                 let blob = plain.bytes[entry.offset as usize..][..entry.len as usize].to_vec();
                 out.push(vec![crate::write::compressed(*entry, blob, 3)]).unwrap();

@@ -305,7 +305,9 @@ fn serve_file(server: Server, bytes: Vec<u8>) -> (u16, Arc<Mutex<Vec<String>>>) 
                 log.lock().unwrap().push(line.clone());
                 let right = line.starts_with("GET /a/") && line.contains("?sig=1%2F2 ");
                 let answer = match (right, server, range) {
-                    (false, ..) if !line.starts_with("GET ") => b"HTTP/1.1 405 no\r\nContent-Length: 0\r\n\r\n".to_vec(),
+                    (false, ..) if !line.starts_with("GET ") => {
+                        b"HTTP/1.1 405 no\r\nContent-Length: 0\r\n\r\n".to_vec()
+                    }
                     (false, ..) => b"HTTP/1.1 403 no\r\nContent-Length: 0\r\n\r\n".to_vec(),
                     (true, Server::Ranges, Some((from, to))) => {
                         let part = &bytes[from..=to];
@@ -317,7 +319,8 @@ fn serve_file(server: Server, bytes: Vec<u8>) -> (u16, Arc<Mutex<Vec<String>>>) 
                         [head.as_bytes(), part].concat()
                     }
                     (true, Server::Chunked, _) => {
-                        let mut body = b"HTTP/1.1 200 ok\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n".to_vec();
+                        let mut body =
+                            b"HTTP/1.1 200 ok\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n".to_vec();
                         for part in bytes.chunks(50_000) {
                             body.extend(format!("{:x}\r\n", part.len()).into_bytes());
                             body.extend(part);
@@ -327,7 +330,8 @@ fn serve_file(server: Server, bytes: Vec<u8>) -> (u16, Arc<Mutex<Vec<String>>>) 
                         body
                     }
                     _ => {
-                        let head = format!("HTTP/1.1 200 ok\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", bytes.len());
+                        let head =
+                            format!("HTTP/1.1 200 ok\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", bytes.len());
                         [head.as_bytes(), &bytes].concat()
                     }
                 };

@@ -107,13 +107,16 @@ impl Http {
         if let Some(range) = range {
             request = request.header(RANGE, format!("bytes={}-{}", range.start, range.end - 1));
         }
-        runtime()?.block_on(request.send()).map_err(|e| failed(&self.name, "reach", e))
+        // Its clock is set when it is sent: within the runtime.
+        runtime()?.block_on(async { request.send().await }).map_err(|e| failed(&self.name, "reach", e))
     }
 
     /// The body of an answer, which has `n` bytes.
     fn body(&self, mut response: Response, n: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        while let Some(part) = runtime()?.block_on(response.chunk()).map_err(|e| failed(&self.name, "read", e))? {
+        while let Some(part) =
+            runtime()?.block_on(async { response.chunk().await }).map_err(|e| failed(&self.name, "read", e))?
+        {
             bytes.extend_from_slice(&part);
             if bytes.len() as u64 > n {
                 break;
@@ -121,13 +124,17 @@ impl Http {
         }
         match bytes.len() as u64 == n {
             true => Ok(bytes),
-            false => Err(self.wrong(format!("sends {} bytes, {n} were asked for; the file changed meanwhile", bytes.len()))),
+            false => {
+                Err(self.wrong(format!("sends {} bytes, {n} were asked for; the file changed meanwhile", bytes.len())))
+            }
         }
     }
 
     /// All bytes of an answer into a file.
     fn save(&self, mut response: Response, out: &mut File) -> Result<()> {
-        while let Some(part) = runtime()?.block_on(response.chunk()).map_err(|e| failed(&self.name, "read", e))? {
+        while let Some(part) =
+            runtime()?.block_on(async { response.chunk().await }).map_err(|e| failed(&self.name, "read", e))?
+        {
             out.write_all(&part).map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e))?;
         }
         Ok(())
@@ -149,7 +156,11 @@ impl Http {
             if self.len != 0 && len != self.len {
                 return Err(self.wrong(format!("sends {len} bytes of {}", self.len)));
             }
-            crate::note!("note: {} was fetched whole: its server gives no ranges; {}", self.name.display(), memory::display(len));
+            crate::note!(
+                "note: {} was fetched whole: its server gives no ranges; {}",
+                self.name.display(),
+                memory::display(len)
+            );
             *whole = Whole::Here(file);
         }
         match &mut *whole {

@@ -78,7 +78,9 @@ fn resolve(url: &Path) -> Result<(Arc<dyn ObjectStore>, Key)> {
 fn plain(url: &Path) -> Result<Option<url::Url>> {
     let parsed = parse(url)?;
     let web = matches!(parsed.scheme(), "http" | "https");
-    let known = || object_store::ObjectStoreScheme::parse(&parsed).is_ok_and(|(s, _)| s != object_store::ObjectStoreScheme::Http);
+    let known = || {
+        object_store::ObjectStoreScheme::parse(&parsed).is_ok_and(|(s, _)| s != object_store::ObjectStoreScheme::Http)
+    };
     Ok((web && (parsed.query().is_some() || !known())).then_some(parsed))
 }
 
@@ -324,7 +326,11 @@ impl Upload {
         }
         if let Some(address) = plain(url)?.filter(|address| address.query().is_some()) {
             let what = "an address with a query is read, not written; write a file and put it there";
-            return Err(Error::Argument(format!("{}{}: {what}", address.host_str().unwrap_or_default(), address.path())));
+            return Err(Error::Argument(format!(
+                "{}{}: {what}",
+                address.host_str().unwrap_or_default(),
+                address.path()
+            )));
         }
         let (store, key) = resolve(url)?;
         Object::open(url)?;
