@@ -55,7 +55,6 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
         header.axes(&sizes).map_err(|what| Error::format(path, format!("byte 0: {what}")))?;
     let size_of = |k: usize| space.get(k).map_or(1, |&axis| sizes[axis]);
     let dims = [size_of(0), size_of(1), size_of(2)];
-    let [x, y, z] = dims;
     let one = byte_len(path, dims, dtype)?;
     // With all the values of a voxel, but of a series the first.
     let expected = one.checked_mul(components).ok_or_else(|| {

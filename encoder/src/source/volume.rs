@@ -635,7 +635,8 @@ impl<'a> Volume<'a> {
                 &lines[0].1
             };
             if u_axis.is_as_stored() {
-                each(v, Row::Meant(line));
+                // The last voxel has one after it, which nobody asked for.
+                each(v, Row::Meant(&line[..(us.end - us.start) as usize]));
                 continue;
             }
             row.clear();
