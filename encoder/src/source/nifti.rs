@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use super::place::Place;
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip, gunzip_prefix};
 use super::{Dtype, ReadOptions, map};
+use crate::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Bytes of a NIfTI-2 header, the longer one.
@@ -96,10 +97,10 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     let ending = kind_of(path);
     if ending == "img" && !head_is_nifti(bytes) {
         let header = beside(path, "hdr")?;
-        let head = map(&header)?;
-        return volume(&header, &head, Some((path, bytes)), opts);
+        let head = head(&header, &map(&header)?)?;
+        return volume(&header, &head, None, Some((path, bytes)), opts);
     }
-    volume(path, bytes, None, opts)
+    volume(path, &head(path, bytes)?, Some(bytes), None, opts)
 }
 
 /// The ending of a name, without that of gzip.
@@ -135,16 +136,23 @@ fn beside(path: &Path, ending: &str) -> Result<PathBuf> {
     }
 }
 
+/// The bytes of a header, unpacked.
+fn head(path: &Path, bytes: &[u8]) -> Result<Vec<u8>> {
+    match bytes.starts_with(b"\x1f\x8b") {
+        true => gunzip_prefix(path, bytes, HEADER),
+        false => Ok(bytes[..bytes.len().min(HEADER as usize)].to_vec()),
+    }
+}
+
+/// The volume of a header of the file at `path`: its values follow in the same file's bytes, `whole`, or are an image's.
 fn volume<'a>(
     path: &Path,
-    bytes: &'a [u8],
+    head: &[u8],
+    whole: Option<&'a [u8]>,
     image: Option<(&Path, &'a [u8])>,
     opts: &ReadOptions,
 ) -> Result<Volume<'a>> {
     let fail = |what: String| Err(Error::format(path, what));
-    let gz = bytes.starts_with(b"\x1f\x8b");
-    let head =
-        if gz { gunzip_prefix(path, bytes, HEADER)? } else { bytes[..bytes.len().min(HEADER as usize)].to_vec() };
     let size = |big: bool| head.first_chunk().map(|&b| if big { i32::from_be_bytes(b) } else { i32::from_le_bytes(b) });
     let (two, big_endian) = match (size(false), size(true)) {
         (Some(348), _) => (false, false),
@@ -157,7 +165,7 @@ fn volume<'a>(
     if head.len() < len {
         return fail(format!("{} bytes; a NIfTI header has {len}", head.len()));
     }
-    let h = Header { bytes: &head, big_endian, two };
+    let h = Header { bytes: head, big_endian, two };
     let (single, format) = match (two, if two { &head[4..8] } else { &head[344..348] }) {
         (false, b"n+1\0") => (true, "NIfTI-1"),
         (false, b"ni1\0") => (false, "NIfTI-1"),
@@ -235,14 +243,14 @@ fn volume<'a>(
     let part = |bytes: &'a [u8]| {
         bytes.get(start as usize..).and_then(|v| v.get(..expected as usize)).ok_or_else(|| short(bytes.len() as u64))
     };
-    let data = match (single, image) {
-        (true, _) if gz => gunzip(path, bytes, start, end)?.map_err(short)?,
-        (true, _) => Data::Slice(part(bytes)?),
-        (false, Some((path, bytes))) if bytes.starts_with(b"\x1f\x8b") => {
-            gunzip(path, bytes, start, end)?.map_err(short)?
-        }
-        (false, Some((_, bytes))) => Data::Slice(part(bytes)?),
-        (false, None) => {
+    let of = |path: &Path, bytes: &'a [u8]| -> Result<Data<'a>> {
+        if bytes.starts_with(b"\x1f\x8b") { gunzip(path, bytes, start, end)?.map_err(short) } else { part(bytes).map(Data::Slice) }
+    };
+    let data = match (single, whole, image) {
+        (true, Some(whole), _) => of(path, whole)?,
+        (true, None, _) => return fail("byte 344: NIfTI header: its values follow it, but an image beside it was named; name the header".to_owned()),
+        (false, _, Some((path, bytes))) => of(path, bytes)?,
+        (false, _, None) => {
             let pair = beside(path, "img")?;
             let whole = map(&pair)?;
             if whole.starts_with(b"\x1f\x8b") {
@@ -254,11 +262,12 @@ fn volume<'a>(
         }
     };
 
-    let mut facts = Facts { format: format.to_owned(), measured: true, ..Facts::default() };
+    let mut about = About::new(Kind::Volume, format.to_owned());
+    let mut facts = Facts { measured: true, ..Facts::default() };
     let volumes = (4..=rank).map(axis).fold(1u64, u64::saturating_mul);
     if volumes > 1 {
         let what = if axis(4) == 1 { "values a voxel" } else { "volumes" };
-        facts.left_out.push(format!("{} of {volumes} {what}: the first is read", volumes - 1));
+        about.left_out.push(format!("{} of {volumes} {what}: the first is read", volumes - 1));
     }
     let mut scale = None;
     if !analyze {
@@ -268,7 +277,7 @@ fn volume<'a>(
             .filter(|&s| s != (1.0, 0.0));
         facts.labels = h.int([68, 504]) == 1002;
         let units = if two { i32::from_le_bytes(h.take(500)) } else { i32::from(head[123]) };
-        facts.unit = ["", "m", "mm", "µm"].get((units & 7) as usize).copied().unwrap_or_default().to_owned();
+        about.unit = ["", "m", "mm", "µm"].get((units & 7) as usize).copied().unwrap_or_default().to_owned();
     }
     let spacing = || Place::spaced([1, 2, 3].map(|i| h.real([76, 104], i).abs()), [0.0; 3]);
     let (sform, qform) = if analyze { (0, 0) } else { (h.int([254, 348]), h.int([252, 344])) };
@@ -284,7 +293,7 @@ fn volume<'a>(
     match place.checked() {
         Ok(place) => facts.place = Some(place),
         Err(_) if unknown => {}
-        Err(what) => facts.left_out.push(what),
+        Err(what) => about.left_out.push(what),
     }
     let mut notes = Vec::new();
     if let Some((slope, inter)) = scale {
@@ -295,6 +304,6 @@ fn volume<'a>(
             "the file says nothing of a patient's right, front and head (--up z stands on the third axis)".to_owned(),
         );
     }
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes };
+    let stored = Stored { big_endian, scale, notes, about, ..Stored::new(dims, dtype, data) };
     Volume::with(path, stored, facts, opts)
 }

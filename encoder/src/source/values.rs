@@ -30,10 +30,6 @@ impl Unpacked {
         self.out.write_all(bytes).map_err(failed("write a file in"))
     }
 
-    pub fn len(&self) -> u64 {
-        self.len
-    }
-
     /// What was put there, of the file at `path`.
     pub fn finish(self, path: &Path) -> Result<Data<'static>> {
         let file = self.out.into_inner().map_err(|e| failed("write a file in")(e.into_error()))?;

@@ -610,12 +610,11 @@ fn vtk_image_data_are_read_in_every_form() {
 
 /// LZ4 of literals alone.
 fn lz4_block(bytes: &[u8]) -> Vec<u8> {
-    let mut out = vec![0xF0, (bytes.len() - 15) as u8];
-    if bytes.len() < 15 {
-        out = vec![(bytes.len() as u8) << 4];
-    }
-    out.extend(bytes);
-    out
+    let head = match bytes.len() {
+        n if n < 15 => vec![(n as u8) << 4],
+        n => vec![0xF0, (n - 15) as u8],
+    };
+    [&head, bytes].concat()
 }
 
 #[test]
