@@ -5,14 +5,14 @@
 //! + intercept (HU, dose). Source: DICOM PS3.3 C.7.6.2 and C.7.6.3, C.7.6.16 for multi-frame files, C.8.8.3 for dose.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use dicom_object::{DefaultDicomObject, InMemDicomObject, OpenFileOptions, Tag};
 use dicom_pixeldata::PixelDecoder;
 
 use super::volume::{Data, Stored, Volume};
-use super::{Dtype, ReadOptions, Up, guarded, world_dims};
+use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
 use crate::about::Kind;
 use crate::scratch;
 use crate::{About, Error, Result};
@@ -163,6 +163,7 @@ pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result
 }
 
 fn open(path: &Path, head: bool) -> Result<DefaultDicomObject> {
+    check(path, &map(path)?)?;
     let options = OpenFileOptions::new();
     let options = if head { options.read_until(tags::FLOATS) } else { options };
     options.open_file(path).map_err(|e| {
@@ -174,6 +175,126 @@ fn open(path: &Path, head: bool) -> Result<DefaultDicomObject> {
         }
         Error::format(path, what.replace('\n', " "))
     })
+}
+
+/// Holds the lengths of all elements against the file's, since the crate takes memory for what each claims.
+fn check(path: &Path, bytes: &[u8]) -> Result<()> {
+    let fail = |at: usize, what: String| Error::format(path, format!("byte {at}: {what}"));
+    if bytes.get(128..132) != Some(b"DICM") {
+        return Err(fail(128, "expected DICM, so this is no DICOM file".to_owned()));
+    }
+    let short = |(at, claims)| fail(at, format!("an element of {claims} bytes, the file holds fewer"));
+    let meta = Walk { bytes, big_endian: false, explicit: true };
+    let (mut at, mut syntax) = (132, String::new());
+    while meta.number(at, 2) == Some(2) {
+        let (tag, _, from, len) = meta.header(at).ok_or((at, 0)).map_err(short)?;
+        let value = bytes.get(from..).and_then(|v| v.get(..len as usize)).ok_or((at, len)).map_err(short)?;
+        if tag == 0x0002_0010 {
+            syntax = String::from_utf8_lossy(value).trim_end_matches(['\0', ' ']).to_owned();
+        }
+        at = from + len as usize;
+    }
+    let mut inflated = Vec::new();
+    let (bytes, at) = match syntax.as_str() {
+        "1.2.840.10008.1.2.1.99" => {
+            let rest = &bytes[at..];
+            let most = rest.len() as u64 * 1100;
+            let mut stream = flate2::read::DeflateDecoder::new(rest).take(most);
+            stream.read_to_end(&mut inflated).map_err(|e| fail(at, format!("deflated elements: {e}")))?;
+            (&inflated[..], 0)
+        }
+        _ => (bytes, at),
+    };
+    let (big_endian, explicit) = (syntax == "1.2.840.10008.1.2.2", syntax != "1.2.840.10008.1.2");
+    let walk = Walk { bytes, big_endian, explicit };
+    walk.elements(at, bytes.len(), 0).map(drop).map_err(short)
+}
+
+/// The elements of a data set, as far as their lengths go.
+struct Walk<'a> {
+    bytes: &'a [u8],
+    big_endian: bool,
+    explicit: bool,
+}
+
+/// Where an element is, and the bytes that it claims.
+type Claim = (usize, u64);
+
+/// A length that is not stated: up to a delimiter.
+const UNDEFINED: u64 = 0xffff_ffff;
+
+impl Walk<'_> {
+    fn number(&self, at: usize, size: usize) -> Option<u64> {
+        let bytes = self.bytes.get(at..at.checked_add(size)?)?;
+        let fold = |n: u64, &b: &u8| n << 8 | u64::from(b);
+        Some(if self.big_endian { bytes.iter().fold(0, fold) } else { bytes.iter().rev().fold(0, fold) })
+    }
+
+    /// Tag, type (of those stated), where the value starts, its length.
+    fn header(&self, at: usize) -> Option<(u64, [u8; 2], usize, u64)> {
+        let tag = self.number(at, 2)? << 16 | self.number(at + 2, 2)?;
+        // Items and delimiters have no type.
+        if tag >> 16 == 0xfffe || !self.explicit {
+            return Some((tag, *b"??", at + 8, self.number(at + 4, 4)?));
+        }
+        let kind: [u8; 2] = self.bytes.get(at + 4..at + 6)?.try_into().ok()?;
+        let long = matches!(&kind, b"OB" | b"OD" | b"OF" | b"OL" | b"OV" | b"OW" | b"SQ" | b"SV" | b"UC" | b"UN" | b"UR" | b"UT" | b"UV");
+        match long {
+            true => Some((tag, kind, at + 12, self.number(at + 8, 4)?)),
+            false => Some((tag, kind, at + 8, self.number(at + 6, 2)?)),
+        }
+    }
+
+    /// Elements up to `end` or a delimiter; where they end.
+    fn elements(&self, mut at: usize, end: usize, depth: u32) -> Result<usize, Claim> {
+        while at + 8 <= end {
+            let (tag, kind, from, len) = self.header(at).ok_or((at, 8))?;
+            if tag == 0xfffe_e00d {
+                return Ok(from);
+            }
+            let pixels = tag == 0x7fe0_0010;
+            let fits = len == UNDEFINED || (from as u64).checked_add(len).is_some_and(|to| to <= end as u64);
+            if !fits || depth > 32 {
+                return Err((at, len));
+            }
+            let items = || self.number(from, 2) == Some(0xfffe) && self.number(from + 2, 2) == Some(0xe000);
+            let sequence = match self.explicit {
+                true => kind == *b"SQ" || len == UNDEFINED,
+                false => len == UNDEFINED || (tag >> 16 & 1 == 0 && tag >> 16 != 0x7fe0 && items()),
+            };
+            let to = if len == UNDEFINED { end } else { from + len as usize };
+            at = match sequence {
+                // Those of a type that is not known have items without types.
+                true if kind == *b"UN" => Walk { explicit: false, big_endian: false, ..*self }.items(from, to, pixels, depth + 1)?,
+                true => self.items(from, to, pixels, depth + 1)?,
+                false => to,
+            };
+        }
+        Ok(end)
+    }
+
+    /// Items up to `end` or a delimiter; where they end. Those of packed pixels hold bytes alone.
+    fn items(&self, mut at: usize, end: usize, pixels: bool, depth: u32) -> Result<usize, Claim> {
+        while at + 8 <= end {
+            let (tag, _, from, len) = self.header(at).ok_or((at, 8))?;
+            if tag == 0xfffe_e0dd {
+                return Ok(from);
+            }
+            let fits = len == UNDEFINED && !pixels || (from as u64).checked_add(len).is_some_and(|to| to <= end as u64);
+            if tag != 0xfffe_e000 || !fits {
+                return Err((at, len));
+            }
+            let to = if len == UNDEFINED { end } else { from + len as usize };
+            at = match pixels {
+                true => to,
+                false => {
+                    let ends = self.elements(from, to, depth + 1)?;
+                    if len == UNDEFINED { ends } else { to }
+                }
+            };
+        }
+        Ok(end)
+    }
 }
 
 fn text(object: &InMemDicomObject, tag: Tag) -> Option<String> {

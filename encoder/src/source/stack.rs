@@ -32,6 +32,8 @@ struct Slice {
 #[derive(Debug, Default)]
 struct Plan {
     slices: Vec<Slice>,
+    /// Slices of all channels and times.
+    planes: u64,
     format: &'static str,
     /// Sides of a voxel along x, y, z.
     voxel: Option<[f64; 3]>,
@@ -64,6 +66,7 @@ impl Plan {
             stride = stride.saturating_mul(size);
         }
         plan.slices = (0..n).map(|z| slice(z * step)).collect();
+        plan.planes = stride;
         plan
     }
 }
@@ -81,12 +84,13 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadO
     })
 }
 
-/// Whether a TIFF without a place on Earth has several slices.
+/// Whether a TIFF without a place on Earth has several slices, channels or times.
 pub(super) fn is_stack(path: &Path, bytes: &[u8]) -> bool {
     let several = || {
         let tiff = Tiff::open(path, bytes, false)?;
         let placed = tiff.pages.iter().any(|ifd| tiff.is_placed(ifd));
-        Ok(!placed && plan(path, &tiff)?.slices.len() > 1)
+        let plan = plan(path, &tiff)?;
+        Ok(!placed && (plan.slices.len() > 1 || plan.planes > 1))
     };
     guarded(path, "TIFF", several).unwrap_or(false)
 }

@@ -396,8 +396,13 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
     let named = own.metadata.get("data_type").or(own.metadata.get("dtype")).cloned().unwrap_or_default();
     let records = named.as_str().map_or(!named.is_null(), |s| s.contains('V'));
     let array = Array::open(Arc::new(store), "/").map_err(|e| {
-        let hint = if records { "; records are not read: write one field as an array of its own" } else { "" };
-        fail(format!("{e}{hint}"))
+        let text = e.to_string();
+        let hint = match (records, text.contains("codec")) {
+            (true, _) => "; records are not read: write one field as an array of its own",
+            (_, true) => "; write it without this codec or filter",
+            _ => "",
+        };
+        fail(text + hint)
     })?;
     let types = [
         (data_type::bool(), Dtype::U8),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::super::tests::opts;
 use super::super::{open, open_pieces};
-use crate::{About, Input, source};
+use crate::{About, Input};
 
 const W: usize = 5;
 const H: usize = 4;
@@ -287,7 +287,7 @@ fn what_cannot_be_read_is_named_and_damage_is_a_plain_error() {
     let good = Slice::at(0.0, slice(0)).bytes();
     let go = |bytes: &[u8]| {
         fs::write(&path, bytes).unwrap();
-        drop(source::open(&path, &opts("--iso 1")));
+        drop(open(&path, &opts("--iso 1")));
     };
     (0..good.len()).step_by(7).for_each(|n| go(&good[..n]));
     for at in (132..good.len() - 2 * W * H).step_by(3) {

@@ -206,6 +206,9 @@ fn imagej_hyperstacks_are_their_first_channel_and_time_in_the_order_stated() {
     let times = file("ImageJ=1.53t\nimages=6\nslices=2\nframes=3\n");
     assert_slices(&read("a.tif", &times, ""), &[0, 1]);
     assert_eq!(about(&times, "").left_out, ["2 of 3 times: the first is read"]);
+    let channels = file("ImageJ=1.53t\nimages=6\nchannels=6\n");
+    assert_slices(&read("a.tif", &channels, ""), &[0]);
+    assert_eq!(about(&channels, "").left_out, ["5 of 6 channels: the first is read"]);
     let short = file("ImageJ=1.53t\nimages=12\nchannels=4\nslices=3\n");
     let e = error("a.tif", &short, "--format stack");
     assert!(e.contains("12 pages by its description, the file has 6"), "{e}");
