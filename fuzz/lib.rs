@@ -36,7 +36,7 @@ pub fn import(format: Format, bytes: &[u8]) {
     let_guards_work();
     let input = if format == Format::Obj && flags & 8 != 0 {
         open(&obj_in_parts(bytes), &options)
-    } else if matches!(format, Format::Las | Format::Stack) {
+    } else if matches!(format, Format::Las | Format::Dicom) {
         // These are read from their files, part by part.
         let path = passing("file");
         std::fs::write(&path, bytes).expect("a folder for passing files");

@@ -13,6 +13,7 @@ use super::place::Place;
 use super::values::{first_of, joined, numbers, of_text};
 use super::volume::{Data, Facts, Stored, Volume, byte_len, unpack};
 use super::{Dtype, ReadOptions, map};
+use crate::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Whether a file that begins so is one of these.
@@ -220,23 +221,24 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
         n => first_of(path, &data, dtype.size(), n)?,
     };
 
-    let mut facts = Facts { format: "MetaImage".to_owned(), measured: true, ..Facts::default() };
+    let mut about = About::new(Kind::Volume, "MetaImage".to_owned());
+    let mut facts = Facts { measured: true, ..Facts::default() };
     if header.channels > 1 {
-        facts.left_out.push(format!(
+        about.left_out.push(format!(
             "{} of {} values a voxel: the first is read",
             header.channels - 1,
             header.channels
         ));
     }
     if series > 1 {
-        facts.left_out.push(format!("{} of {series} volumes: the first is read", series - 1));
+        about.left_out.push(format!("{} of {series} volumes: the first is read", series - 1));
     }
     match header.place() {
         Some(Ok(place)) => {
-            facts.unit = header.unit.clone();
+            about.unit = header.unit.clone();
             facts.place = Some(place);
         }
-        Some(Err(what)) => facts.left_out.push(what),
+        Some(Err(what)) => about.left_out.push(what),
         None => {}
     }
     let mut notes = Vec::new();
@@ -247,7 +249,7 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
         notes.push(format!("values are stored · {slope} + {inter} (ElementToIntensityFunction)"));
     }
     let big_endian = header.binary && header.big_endian;
-    Volume::with(path, Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes }, facts, opts)
+    Volume::with(path, Stored { big_endian, scale, notes, about, ..Stored::new(dims, dtype, data) }, facts, opts)
 }
 
 /// What is the same for each file of values.

@@ -7,6 +7,8 @@
 //! | `mrc`, `vti` | MRC and CCP4 maps, VTK image data | by the axes that the file names |
 //! | `place`, `measure`, `values` | nothing: spacing and axes, what is solid and its colours, values in other forms | |
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
+//! | `stack`, `tiff_pages` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
+//! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
@@ -37,6 +39,8 @@
 //! | `.vox` | voxels of all instances of models | 2³¹ voxels, 2²⁶ columns; 26 bytes a voxel, 8 a column |
 
 mod dem;
+#[cfg(feature = "dicom")]
+mod dicom;
 mod heightmap;
 mod heights;
 mod measure;
@@ -53,6 +57,7 @@ mod points;
 pub mod procedural;
 mod spots;
 mod stack;
+mod tiff_pages;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
 mod values;
@@ -136,8 +141,10 @@ pub enum Format {
     Heightmap,
     /// USGS ASCII digital elevation model
     Dem,
-    /// TIFF images as slices of a volume: the pages of a file, or the files of a folder
+    /// Images as slices of a volume: the pages of a TIFF file, or the TIFF, PNG or JPEG files of a folder
     Stack,
+    /// DICOM file of several frames, or a folder of a series
+    Dicom,
     /// Voxlap or Ace of Spades map
     Vxl,
     /// MagicaVoxel model or scene
@@ -155,7 +162,7 @@ pub enum Format {
 }
 
 const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz/.hdr/.img, .mha/.mhd, .mrc/.map/.ccp4, .vti, height maps \
-    (.png, .jpg, .tif, .dem, .npy), stacks and mosaics (folders of .tif), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
+    (.png, .jpg, .tif, .dem, .npy), stacks (.tif of several pages, folders of .tif, .png or .jpg), mosaics (folders of .tif), DICOM (.dcm, folders), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
 
 /// Axis of an input that points up in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -285,22 +292,56 @@ pub(crate) fn remote_volume(
     Ok(volume.map(|volume| Box::new(volume) as Box<dyn Pieces>))
 }
 
-/// A Zarr array; or a folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by
-/// name.
+/// A Zarr array; a folder of TIFF files: tiles of a map where they say where they lie, else the slices of a volume, by
+/// name; a DICOM series; or PNG or JPEG slices, by name.
 fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if ["zarr.json", ".zarray", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
         return zarr_folder(path, opts);
     }
     let failed = |e| Error::io(path, "read", e);
-    let mut files = Vec::new();
+    let (mut tiffs, mut pictures, mut dicoms) = (Vec::new(), Vec::new(), Vec::new());
     for entry in fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
+        let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if hidden || !file.is_file() {
+            continue;
+        }
         let kind = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        if matches!(kind.as_str(), "tif" | "tiff") {
-            files.push(file);
+        match kind.as_str() {
+            "tif" | "tiff" => tiffs.push(file),
+            "png" | "jpg" | "jpeg" => pictures.push(file),
+            _ if is_dicom(&file) => dicoms.push(file),
+            _ => {}
         }
     }
-    // Numbers in names by their value: slice2 before slice10.
+    [&mut tiffs, &mut pictures, &mut dicoms].into_iter().for_each(|files| by_number(files));
+    let unread = |kinds: &[(&str, usize)]| -> Vec<String> {
+        kinds.iter().filter(|k| k.1 > 0).map(|(kind, n)| format!("{n} {kind} files in the folder")).collect()
+    };
+    let (n_pictures, n_dicoms) = (pictures.len(), dicoms.len());
+    let mut volume = if let Some(first) = tiffs.first() {
+        if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
+            return Ok(Box::new(heightmap::mosaic(path, &tiffs, opts)?));
+        }
+        let mut volume = stack::folder(path, &tiffs, opts)?;
+        volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures), ("DICOM", n_dicoms)]));
+        volume
+    } else if !dicoms.is_empty() && opts.format != Some(Format::Stack) {
+        dicom_series(path, &dicoms, opts)?
+    } else if !pictures.is_empty() {
+        stack::pictures(path, &pictures, opts)?
+    } else {
+        let what = "a folder without .tif, .png, .jpg or DICOM files and no Zarr; expected the slices of a volume or tiles of a map";
+        return Err(Error::format(path, what));
+    };
+    if dicoms.len() == n_dicoms && tiffs.is_empty() && !dicoms.is_empty() {
+        volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures)]));
+    }
+    Ok(Box::new(volume))
+}
+
+/// Sorts by name, numbers in names by their value: slice2 before slice10.
+fn by_number(files: &mut [PathBuf]) {
     files.sort_by_cached_key(|file| {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let parts = name.as_bytes().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit());
@@ -308,16 +349,24 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         let key: Vec<(u64, Vec<u8>)> = parts.map(|part| (number(part).unwrap_or(u64::MAX), part.to_vec())).collect();
         key
     });
-    let Some(first) = files.first() else {
-        return Err(Error::format(
-            path,
-            "a folder without .tif files and no Zarr; expected the slices of a volume or tiles of a map",
-        ));
-    };
-    if opts.format != Some(Format::Stack) && heightmap::is_geographic(first, &map(first)?) {
-        return Ok(Box::new(heightmap::mosaic(path, &files, opts)?));
-    }
-    Ok(Box::new(stack::read(path, &files, opts)?))
+}
+
+/// Whether a file says that it is DICOM, and no directory of others.
+fn is_dicom(path: &Path) -> bool {
+    let mut head = [0; 132];
+    let named = path.file_name().is_some_and(|name| name == "DICOMDIR");
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    !named && read.is_ok() && head.ends_with(b"DICM")
+}
+
+#[cfg(feature = "dicom")]
+fn dicom_series(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result<volume::Volume<'static>> {
+    dicom::read(path, files, opts)
+}
+
+#[cfg(not(feature = "dicom"))]
+fn dicom_series(path: &Path, _: &[PathBuf], _: &ReadOptions) -> Result<volume::Volume<'static>> {
+    without(path, "DICOM", "dicom")
 }
 
 #[cfg(feature = "zarr")]
@@ -357,7 +406,18 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     let format = match opts.format {
         Some(format) => format,
         None if opts.dims.is_some() => Format::Raw,
-        None => detect(path, &bytes[..bytes.len().min(1 << 16)])?,
+        None => match detect(path, &bytes[..bytes.len().min(1 << 16)])? {
+            // Pages without a place on Earth are slices, unless a flag says that they are heights.
+            Format::Heightmap
+                if matches!(bytes.get(..2), Some(b"II" | b"MM"))
+                    && opts.colors.is_none()
+                    && opts.height_scale.is_none()
+                    && stack::is_stack(path, bytes) =>
+            {
+                Format::Stack
+            }
+            format => format,
+        },
     };
     let mut notes = Vec::new();
     let mut unused = |flag: &str, given: bool, why: &str| {
@@ -366,7 +426,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         }
     };
     let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack)
-        || matches!(format, Format::MetaImage | Format::Mrc | Format::Vti);
+        || matches!(format, Format::MetaImage | Format::Mrc | Format::Vti | Format::Dicom);
     let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
     let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
     unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
@@ -408,7 +468,11 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             let (heights, pixel) = dem::read(path, bytes)?;
             return boxed(heightmap::of_heights(path, heights, Some(pixel), bytes.len() as u64, opts));
         }
-        Format::Stack => return volume(stack::read(path, &[path.to_owned()], opts)),
+        Format::Stack => return volume(stack::read(path, bytes, in_file, opts)),
+        #[cfg(feature = "dicom")]
+        Format::Dicom => return volume(dicom::read(path, &[path.to_owned()], opts)),
+        #[cfg(not(feature = "dicom"))]
+        Format::Dicom => return without(path, "DICOM", "dicom"),
         Format::Vxl => vxl::read(path, bytes),
         Format::Vox => vox::read(path, bytes),
         Format::Ply => {
@@ -468,6 +532,7 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
         "hdr" | "img" => Ok(Format::Nifti),
         "mha" | "mhd" => Ok(Format::MetaImage),
         "mrc" | "ccp4" | "mrcs" | "rec" => Ok(Format::Mrc),
+        "npz" => fail("an archive of arrays; save one of them: numpy.save(\"a.npy\", numpy.load(\"a.npz\")[\"name\"])"),
         "stl" => Ok(Format::Stl),
         "obj" => Ok(Format::Obj),
         "gltf" => Ok(Format::Gltf),
@@ -509,6 +574,9 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     };
     if head.starts_with(b"ply\n") || head.starts_with(b"ply\r\n") {
         return Some(Format::Ply);
+    }
+    if head.get(128..132) == Some(b"DICM") {
+        return Some(Format::Dicom);
     }
     if meta_image::is_meta_image(head) {
         return Some(Format::MetaImage);

@@ -9,6 +9,7 @@ use super::place::Place;
 use super::values::Unpacked;
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip, gunzip_prefix};
 use super::{Dtype, ReadOptions};
+use crate::about::{About, Kind};
 use crate::{Error, Result};
 
 const HEADER: usize = 1024;
@@ -38,7 +39,8 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     if sizes.iter().any(|&n| n < 1) {
         return fail(0, format!("MRC sizes {sizes:?}; expected at least 1 each"));
     }
-    let mut facts = Facts { format: "MRC map".to_owned(), measured: true, density: true, ..Facts::default() };
+    let mut about = About::new(Kind::Volume, "MRC map".to_owned());
+    let mut facts = Facts { measured: true, density: true, ..Facts::default() };
     let mut dims = sizes.map(|n| n as u64);
     let mode = int(12);
     // IMOD's own mark says whether its bytes have a sign; others' have.
@@ -109,10 +111,10 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
         }
         match (Place { steps, origin, anatomy: false, stated: "MAPC, MAPR, MAPS" }).checked() {
             Ok(place) => {
-                facts.unit = "Å".to_owned();
+                about.unit = "Å".to_owned();
                 facts.place = Some(place);
             }
-            Err(what) => facts.left_out.push(what),
+            Err(what) => about.left_out.push(what),
         }
     }
     if facts.place.is_none() {
@@ -123,18 +125,18 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     }
     let angles = [real(52), real(56), real(60)];
     if angles.iter().any(|&a| a != 0.0 && (a - 90.0).abs() > 0.01) {
-        facts.left_out.push(format!(
+        about.left_out.push(format!(
             "angles of the cell, {}°, {}°, {}°: it is drawn with right ones",
             angles[0], angles[1], angles[2]
         ));
     }
     if series > 1 {
-        facts.left_out.push(format!("{} of {series} volumes: the first is read", series - 1));
+        about.left_out.push(format!("{} of {series} volumes: the first is read", series - 1));
     }
     if space_group == 0 && z > 1 {
-        facts.left_out.push("that the header calls it a stack of images, not a volume".to_owned());
+        about.left_out.push("that the header calls it a stack of images, not a volume".to_owned());
     }
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data, notes: Vec::new() };
+    let stored = Stored { big_endian, about, ..Stored::new(dims, dtype, data) };
     Volume::with(path, stored, facts, opts)
 }
 

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use super::place::Place;
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip, gunzip_prefix};
 use super::{Dtype, ReadOptions, map};
+use crate::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Bytes of a NIfTI-2 header, the longer one.
@@ -243,20 +244,11 @@ fn volume<'a>(
         bytes.get(start as usize..).and_then(|v| v.get(..expected as usize)).ok_or_else(|| short(bytes.len() as u64))
     };
     let of = |path: &Path, bytes: &'a [u8]| -> Result<Data<'a>> {
-        if bytes.starts_with(b"\x1f\x8b") {
-            gunzip(path, bytes, start, end)?.map_err(short)
-        } else {
-            part(bytes).map(Data::Slice)
-        }
+        if bytes.starts_with(b"\x1f\x8b") { gunzip(path, bytes, start, end)?.map_err(short) } else { part(bytes).map(Data::Slice) }
     };
     let data = match (single, whole, image) {
         (true, Some(whole), _) => of(path, whole)?,
-        (true, None, _) => {
-            return fail(
-                "byte 344: NIfTI header: its values follow it, but an image beside it was named; name the header"
-                    .to_owned(),
-            );
-        }
+        (true, None, _) => return fail("byte 344: NIfTI header: its values follow it, but an image beside it was named; name the header".to_owned()),
         (false, _, Some((path, bytes))) => of(path, bytes)?,
         (false, _, None) => {
             let pair = beside(path, "img")?;
@@ -270,11 +262,12 @@ fn volume<'a>(
         }
     };
 
-    let mut facts = Facts { format: format.to_owned(), measured: true, ..Facts::default() };
+    let mut about = About::new(Kind::Volume, format.to_owned());
+    let mut facts = Facts { measured: true, ..Facts::default() };
     let volumes = (4..=rank).map(axis).fold(1u64, u64::saturating_mul);
     if volumes > 1 {
         let what = if axis(4) == 1 { "values a voxel" } else { "volumes" };
-        facts.left_out.push(format!("{} of {volumes} {what}: the first is read", volumes - 1));
+        about.left_out.push(format!("{} of {volumes} {what}: the first is read", volumes - 1));
     }
     let mut scale = None;
     if !analyze {
@@ -284,7 +277,7 @@ fn volume<'a>(
             .filter(|&s| s != (1.0, 0.0));
         facts.labels = h.int([68, 504]) == 1002;
         let units = if two { i32::from_le_bytes(h.take(500)) } else { i32::from(head[123]) };
-        facts.unit = ["", "m", "mm", "µm"].get((units & 7) as usize).copied().unwrap_or_default().to_owned();
+        about.unit = ["", "m", "mm", "µm"].get((units & 7) as usize).copied().unwrap_or_default().to_owned();
     }
     let spacing = || Place::spaced([1, 2, 3].map(|i| h.real([76, 104], i).abs()), [0.0; 3]);
     let (sform, qform) = if analyze { (0, 0) } else { (h.int([254, 348]), h.int([252, 344])) };
@@ -300,7 +293,7 @@ fn volume<'a>(
     match place.checked() {
         Ok(place) => facts.place = Some(place),
         Err(_) if unknown => {}
-        Err(what) => facts.left_out.push(what),
+        Err(what) => about.left_out.push(what),
     }
     let mut notes = Vec::new();
     if let Some((slope, inter)) = scale {
@@ -311,6 +304,6 @@ fn volume<'a>(
             "the file says nothing of a patient's right, front and head (--up z stands on the third axis)".to_owned(),
         );
     }
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale, data, notes };
+    let stored = Stored { big_endian, scale, notes, about, ..Stored::new(dims, dtype, data) };
     Volume::with(path, stored, facts, opts)
 }

@@ -9,6 +9,7 @@ use super::place::Place;
 use super::values::{first_of, joined, numbers, of_text};
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip};
 use super::{Dtype, ReadOptions, map};
+use crate::about::{About, Kind};
 use crate::{Error, Result};
 
 /// NRRD: text header, values raw or gzip, in the same file or a detached one.
@@ -50,7 +51,8 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     if header.dimension.is_some_and(|d| d != sizes.len()) {
         return fail(0, format!("dimension is {} but there are {} sizes", header.dimension.unwrap_or(0), sizes.len()));
     }
-    let mut facts = Facts { format: "NRRD".to_owned(), measured: true, labels: header.labels, ..Facts::default() };
+    let mut about = About::new(Kind::Volume, "NRRD".to_owned());
+    let mut facts = Facts { measured: true, labels: header.labels, ..Facts::default() };
     let Axes { space, components, series } =
         header.axes(&sizes).map_err(|what| Error::format(path, format!("byte 0: {what}")))?;
     let size_of = |k: usize| space.get(k).map_or(1, |&axis| sizes[axis]);
@@ -104,24 +106,24 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     };
     let data = if components > 1 { first_of(path, &data, dtype.size(), components)? } else { data };
     if components > 1 {
-        facts.left_out.push(format!("{} of {components} values a voxel: the first is read", components - 1));
+        about.left_out.push(format!("{} of {components} values a voxel: the first is read", components - 1));
     }
     if series > 1 {
-        facts.left_out.push(format!("{} of {series} volumes: the first is read", series - 1));
+        about.left_out.push(format!("{} of {series} volumes: the first is read", series - 1));
     }
-    facts.left_out.extend(header.left_out.iter().cloned());
+    about.left_out.extend(header.left_out.iter().cloned());
     match header.place(&space) {
         Some(Ok(place)) => {
-            facts.unit = header.unit.clone().unwrap_or(if place.anatomy { "mm" } else { "" }.to_owned());
+            about.unit = header.unit.clone().unwrap_or(if place.anatomy { "mm" } else { "" }.to_owned());
             facts.place = Some(place);
         }
-        Some(Err(what)) => facts.left_out.push(what),
+        Some(Err(what)) => about.left_out.push(what),
         None => {}
     }
     let notes =
         vec!["NRRD axes without directions are kept as stored: the first is x, the second y, the third z".to_owned()];
     let big_endian = !text && header.big_endian == Some(true);
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data, notes };
+    let stored = Stored { big_endian, notes, about, ..Stored::new(dims, dtype, data) };
     Volume::with(path, stored, facts, opts)
 }
 

@@ -35,9 +35,31 @@ pub(super) struct Stored<'a> {
     pub big_endian: bool,
     /// What a stored value means: `value · slope + inter`.
     pub scale: Option<(f64, f64)>,
+    /// The stored value that stands for none: air.
+    pub missing: Option<f64>,
     /// Exactly the values.
     pub data: Data<'a>,
     pub notes: Vec<String>,
+    /// As far as the reader knows it, of the input's x, y and z: [`Volume::new`] says what it made of it. `rule` is what the
+    /// values mean, `axes` which axes of the source they are.
+    pub about: About,
+}
+
+impl<'a> Stored<'a> {
+    /// Values that mean what they are, x fastest, in little-endian order.
+    pub fn new(dims: [u64; 3], dtype: Dtype, data: Data<'a>) -> Stored<'a> {
+        Stored {
+            dims,
+            z_fastest: false,
+            dtype,
+            big_endian: false,
+            scale: None,
+            missing: None,
+            data,
+            notes: Vec::new(),
+            about: About::default(),
+        }
+    }
 }
 
 /// Where values are.
@@ -145,12 +167,12 @@ pub(super) fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64>
 
 /// `--dims`, `--dtype`: values without a header.
 pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    let facts = Facts { format: "raw volume".to_owned(), ..Facts::default() };
-    Volume::with(path, raw_array(path, bytes, opts)?, facts, opts)
+    let about = About::new(Kind::Volume, "raw volume");
+    Volume::new(path, Stored { about, ..raw_array(path, bytes, opts)? }, opts)
 }
 
 /// A volume of which `bytes` are no more than the head right, and whose values are in `object`; None where it is a height
-/// map.
+/// map, or values are to be unpacked.
 #[cfg(feature = "object-store")]
 pub(super) fn in_object(
     path: &Path,
@@ -161,21 +183,21 @@ pub(super) fn in_object(
 ) -> Result<Option<Volume<'static>>> {
     let stored = match format {
         super::Format::Raw => raw_array(path, bytes, opts)?,
-        _ => match super::npy::npy_array(path, bytes)? {
-            (3, stored) => stored,
-            _ => return Ok(None),
+        _ => match super::npy::plain_volume(path, bytes)? {
+            Some(stored) => stored,
+            None => return Ok(None),
         },
     };
-    let Stored { dims, z_fastest, dtype, big_endian, scale, data, notes } = stored;
+    let dtype = stored.dtype;
     if opts.iso.is_none() && dtype != Dtype::U8 {
         // Looking for the range would read it all.
         let what = "values of this type need --iso V, voxels of at least V are solid";
         return Err(Error::Argument(format!("{}: {what}", path.display())));
     }
-    let Data::Slice(values) = data else { unreachable!("nothing of it was unpacked") };
+    let Data::Slice(values) = stored.data else { unreachable!("nothing of it was unpacked") };
     let at = (values.as_ptr() as usize - bytes.as_ptr() as usize) as u64;
     let data = Data::Object { object: Box::new(object), at, len: values.len() as u64 };
-    Volume::new(path, Stored { dims, z_fastest, dtype, big_endian, scale, data, notes }, opts).map(Some)
+    Volume::new(path, Stored { data, ..stored }, opts).map(Some)
 }
 
 fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Stored<'a>> {
@@ -196,7 +218,7 @@ fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Sto
         ));
     }
     let data = Data::Slice(bytes);
-    Ok(Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes: Vec::new() })
+    Ok(Stored::new(dims, dtype, data))
 }
 
 /// The first `len` bytes of a gzip stream.
@@ -307,13 +329,10 @@ type Masks = Box<dyn Fn(&[u8], &mut [u64]) + Send + Sync>;
 /// Appends what stored values mean.
 type Decode = Box<dyn Fn(&[u8], &mut Vec<f64>) + Send + Sync>;
 
-/// What a header says beside where the values are.
+/// What a header says of a volume beside what is said of it ([`Stored::about`]).
 #[derive(Debug, Default)]
 pub(super) struct Facts {
-    /// Name of the format; of others nothing is said in a line.
-    pub format: String,
     pub place: Option<Place>,
-    pub unit: String,
     /// The file's axis that is x, y, z of the input, where that is another order.
     pub order: Option<[usize; 3]>,
     /// Whether a sample of the values says what is solid, and gives colours ([`super::measure`]). Else bytes are solid above
@@ -321,7 +340,6 @@ pub(super) struct Facts {
     pub measured: bool,
     pub labels: bool,
     pub density: bool,
-    pub left_out: Vec<String>,
 }
 
 /// A volume whose columns can be made.
@@ -389,10 +407,23 @@ impl<'a> Volume<'a> {
         if opts.iso.is_some_and(f64::is_nan) {
             return Err(Error::Argument("--iso is not a number".to_owned()));
         }
-        let Stored { dims: [x, y, z], z_fastest, dtype, big_endian, scale, data, notes } = stored;
+        let Stored { dims: [x, y, z], z_fastest, dtype, big_endian, scale, missing, data, notes, about: said } = stored;
+        // In the precision of the values, as in text it has more digits or fewer.
+        let missing = missing.map(|v| if dtype == Dtype::F32 { f64::from(v as f32) } else { v });
         let (stored, order) = if z_fastest { ([z, y, x], [2, 1, 0]) } else { ([x, y, z], [0, 1, 2]) };
         let order = facts.order.unwrap_or(order);
-        let Facts { format, place, unit, measured, labels, density, mut left_out, .. } = facts;
+        let Facts { mut place, measured, labels, density, .. } = facts;
+        let mut left_out = said.left_out.clone();
+        if let Some(sides) = said.voxel.filter(|_| place.is_none()) {
+            let mut spacing = [0.0; 3];
+            (0..3).for_each(|k| spacing[order[k]] = sides[k]);
+            match Place::spaced(spacing, [0.0; 3]).checked() {
+                Ok(spaced) => place = Some(spaced),
+                Err(what) => left_out.push(what),
+            }
+        }
+        // Who says how large voxels are has pictured something.
+        let measured = measured || said.voxel.is_some();
 
         // World x, y, z as axes of the file.
         let (axes, flips, words) = match (opts.up, &place) {
@@ -402,9 +433,9 @@ impl<'a> Volume<'a> {
             }
             (up, place) => {
                 let (axes, flip_z, words) = match up.unwrap_or_default() {
-                    Up::X => ([2, 0, 1], false, "x is up"),
-                    Up::Y => ([0, 1, 2], false, if up.is_none() { "axes as stored" } else { "y is up" }),
-                    Up::Z => ([0, 2, 1], true, "z is up"),
+                    Up::X => ([2, 0, 1], false, "axis x is up"),
+                    Up::Y => ([0, 1, 2], false, "axis y is up"),
+                    Up::Z => ([0, 2, 1], true, "axis z is up"),
                 };
                 if let Some(place) = place.as_ref().filter(|p| p.anatomy) {
                     let mirror = if place.mirrored() { ", a mirror image" } else { "" };
@@ -414,7 +445,11 @@ impl<'a> Volume<'a> {
                         place.letters()
                     ));
                 }
-                (axes.map(|a| order[a]), [false, false, flip_z], words.to_owned())
+                let words = match said.axes.as_str() {
+                    "" => words.to_owned(),
+                    of => format!("{of}, {}", words.trim_start_matches("axis ")),
+                };
+                (axes.map(|a| order[a]), [false, false, flip_z], words)
             }
         };
 
@@ -429,7 +464,7 @@ impl<'a> Volume<'a> {
         let dims = world_dims(path, axes.map(|a| along[a].n), hint)?;
 
         let size = dtype.size();
-        let decode: Decode = with_sample!(dtype, big_endian, |read| decoder(read, scale));
+        let decode: Decode = with_sample!(dtype, big_endian, |read| decoder(read, scale, missing));
         let (solid, paint, rule, values) = if measured {
             let found = Measured::of(&data, size, &*decode)?;
             let is_float = matches!(dtype, Dtype::F32 | Dtype::F64);
@@ -439,13 +474,13 @@ impl<'a> Volume<'a> {
             (solid, paint, rule, found.range())
         } else {
             match opts.iso {
-                Some(iso) => (Solid::AtLeast(iso), Paint::None, format!("solid where at least {iso} (--iso)"), None),
+                Some(iso) => (Solid::AtLeast(iso), Paint::None, format!("solid where at least {iso}"), None),
                 None if dtype == Dtype::U8 && scale.is_none() => {
-                    (Solid::NotZero, Paint::None, "solid where above 0".to_owned(), None)
+                    (Solid::NotZero, Paint::None, "solid above 0".to_owned(), None)
                 }
-                None if dtype == Dtype::U8 => (Solid::ABOVE_0, Paint::None, "solid where more than 0".to_owned(), None),
+                None if dtype == Dtype::U8 => (Solid::ABOVE_0, Paint::None, "solid above 0".to_owned(), None),
                 None => {
-                    let (low, high) = with_sample!(dtype, big_endian, |read| range(&data, scale, read))?;
+                    let (low, high) = with_sample!(dtype, big_endian, |read| range(&data, scale, missing, read))?;
                     return Err(Error::Argument(format!(
                         "{}: values range from {low} to {high}; give --iso V, voxels of at least V are solid",
                         path.display()
@@ -454,10 +489,13 @@ impl<'a> Volume<'a> {
             }
         };
         let masks = match solid {
-            Solid::AtLeast(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale)),
-            Solid::NotZero if dtype == Dtype::U8 && scale.is_none() => masks(u8::from_le_bytes, |v| v > 0),
+            Solid::AtLeast(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
+            Solid::NotZero if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => masks(u8::from_le_bytes, |v| v > 0),
             Solid::NotZero => with_sample!(dtype, big_endian, |read| {
-                masks(read, move |v| Solid::NotZero.holds(meaning(v.to_f64(), scale)))
+                masks(read, move |v| {
+                    let v = v.to_f64();
+                    Some(v) != missing && Solid::NotZero.holds(meaning(v, scale))
+                })
             }),
         };
         let between = match (along.iter().all(Along::is_as_stored), solid) {
@@ -466,38 +504,29 @@ impl<'a> Volume<'a> {
             (false, Solid::AtLeast(_)) => Between::Linear,
         };
 
-        let mut about = About::default();
-        if !format.is_empty() {
-            let kind = if paint == Paint::Labels { Kind::Labels } else { Kind::Volume };
-            about = About { axes: words, rule, values, unit, left_out, ..About::new(kind, format) };
-            let [a, b, c] = spacing.or(stated).unwrap_or([1.0; 3]);
-            let known = spacing.or(stated).is_some();
-            about.voxel = known.then(|| axes.map(|f| [a, b, c][f] * along[f].step()));
+        let mut about = said;
+        if !about.format.is_empty() {
+            about.kind = Some(if paint == Paint::Labels { Kind::Labels } else { Kind::Volume });
+            about.rule = if about.rule.is_empty() { rule } else { format!("{}; {rule}", about.rule) };
+            (about.axes, about.values, about.left_out) = (words, values, left_out);
+            let known = spacing.or(stated);
+            let sides = known.unwrap_or([1.0; 3]);
+            about.voxel = known.map(|sides| axes.map(|f| sides[f] * along[f].step()));
+            let unit = if about.unit.is_empty() { "units" } else { &about.unit };
             if between != Between::Nothing {
                 let [x, y, z] = stored;
+                let [a, b, c] = sides;
                 let how = if between == Between::Nearest { "the nearest" } else { "linearly" };
                 about.axes.push_str(&format!(
-                    "; {x} × {y} × {z} voxels, {a} × {b} × {c} wide, become cubes, taken {how} (--spacing)"
+                    "; {x} × {y} × {z} voxels of {a} × {b} × {c} {unit} become cubes, taken {how} (--spacing as-is: they are drawn as cubes)"
                 ));
-            } else if spacing.is_none() && known && place::cubes(stored, [a, b, c]) != along {
-                about.left_out.push(format!("spacing {a} × {b} × {c}: voxels are drawn as cubes (--spacing as-is)"));
+            } else if spacing.is_none() && known.is_some() && place::cubes(stored, sides) != along {
+                let [a, b, c] = axes.map(|f| sides[f]);
+                about.left_out.push(format!("voxels of {a} × {b} × {c} {unit} are drawn as cubes (--spacing as-is)"));
             }
-            about.affine = place.as_ref().map(|place| affine(place, &along, axes, flips));
+            about.affine = place.as_ref().map(|place| affine(place, &along, axes, flips)).or(about.affine);
         }
         Ok(Volume { stored, along, between, size, data, masks, decode, solid, paint, dims, axes, flips, notes, about })
-    }
-
-    /// Of values that were unpacked into a file, in this machine's byte order.
-    pub(super) fn unpacked(
-        path: &Path,
-        file: File,
-        dims: [u64; 3],
-        dtype: Dtype,
-        opts: &ReadOptions,
-    ) -> Result<Volume<'static>> {
-        let data = Data::File { path: path.to_owned(), file, at: 0, len: byte_len(path, dims, dtype)? };
-        let notes = Vec::new();
-        Volume::new(path, Stored { dims, z_fastest: false, dtype, big_endian: false, scale: None, data, notes }, opts)
     }
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
@@ -960,11 +989,14 @@ fn iso_masks<T: Sample + Send + Sync + 'static, const N: usize>(
     read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
     iso: f64,
     scale: Option<(f64, f64)>,
+    missing: Option<f64>,
 ) -> Masks {
-    match T::solid_between(iso, scale) {
-        Some(Some((low, high))) => masks(read, move |v| low <= v && v <= high),
-        Some(None) => masks(read, |_| false),
-        None => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+    match (T::solid_between(iso, scale), missing) {
+        (Some(Some((low, high))), None) => masks(read, move |v| low <= v && v <= high),
+        (Some(Some((low, high))), Some(none)) => masks(read, move |v| low <= v && v <= high && v.to_f64() != none),
+        (Some(None), _) => masks(read, |_| false),
+        (None, None) => masks(read, move |v| meaning(v.to_f64(), scale) >= iso),
+        (None, Some(none)) => masks(read, move |v| meaning(v.to_f64(), scale) >= iso && v.to_f64() != none),
     }
 }
 
@@ -972,10 +1004,10 @@ fn iso_masks<T: Sample + Send + Sync + 'static, const N: usize>(
 fn decoder<T: Sample + 'static, const N: usize>(
     read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
     scale: Option<(f64, f64)>,
+    missing: Option<f64>,
 ) -> Decode {
-    Box::new(move |bytes, out| {
-        out.extend(bytes.as_chunks::<N>().0.iter().map(|&b| meaning(read(b).to_f64(), scale)));
-    })
+    let of = move |v: f64| if Some(v) == missing { f64::NAN } else { meaning(v, scale) };
+    Box::new(move |bytes, out| out.extend(bytes.as_chunks::<N>().0.iter().map(|&b| of(read(b).to_f64()))))
 }
 
 /// What lies between `a` and `b`.
@@ -1001,12 +1033,14 @@ fn affine(place: &Place, along: &[Along; 3], axes: [usize; 3], flips: [bool; 3])
 fn range<T: Sample, const N: usize>(
     data: &Data,
     scale: Option<(f64, f64)>,
+    missing: Option<f64>,
     read: impl Fn([u8; N]) -> T + Sync,
 ) -> Result<(f64, f64)> {
     const NONE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
     let piece = (N as u64) << 16;
     let len = data.len();
     let (slope, inter) = scale.unwrap_or((1.0, 0.0));
+    let missing = missing.unwrap_or(f64::NAN);
     let (a, b) = (0..len.div_ceil(piece))
         .into_par_iter()
         .map(|i| {
@@ -1015,7 +1049,7 @@ fn range<T: Sample, const N: usize>(
             let (values, _) = bytes.as_chunks::<N>();
             Ok(values.iter().fold(NONE, |(low, high), &v| {
                 let v = read(v).to_f64();
-                (low.min(v), high.max(v))
+                if v == missing { (low, high) } else { (low.min(v), high.max(v)) }
             }))
         })
         .try_reduce(|| NONE, |a, b| Ok((a.0.min(b.0), a.1.max(b.1))))?;

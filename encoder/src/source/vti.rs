@@ -16,6 +16,7 @@ use super::place::Place;
 use super::values::{Unpacked, first_of, numbers, of_text};
 use super::volume::{Data, Facts, Stored, Volume, byte_len, unpack};
 use super::{Dtype, ReadOptions};
+use crate::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Whether a file that begins so is one of VTK's in XML.
@@ -244,9 +245,10 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     };
 
     let on = if array.cells { "cells" } else { "points" };
-    let mut facts = Facts { format: format!("VTK image data, {what} of its {on}"), measured: true, ..Facts::default() };
+    let mut about = About::new(Kind::Volume, format!("VTK image data, {what} of its {on}"));
+    let mut facts = Facts { measured: true, ..Facts::default() };
     if array.components > 1 {
-        facts.left_out.push(format!(
+        about.left_out.push(format!(
             "{} of {} values a voxel: the first is read",
             array.components - 1,
             array.components
@@ -256,7 +258,7 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     if !others.is_empty() {
         let shown = others.iter().take(5).map(|n| format!("{n:?}")).collect::<Vec<_>>().join(", ");
         let more = if others.len() > 5 { ", …" } else { "" };
-        facts.left_out.push(format!("{} other arrays: {shown}{more}", others.len()));
+        about.left_out.push(format!("{} other arrays: {shown}{more}", others.len()));
     }
     let direction = found.direction.unwrap_or([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
     let spacing = found.spacing.unwrap_or([1.0; 3]);
@@ -268,9 +270,9 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Resu
     }
     match (Place { steps, origin, anatomy: false, stated: "Direction" }).checked() {
         Ok(place) => facts.place = Some(place),
-        Err(what) => facts.left_out.push(what),
+        Err(what) => about.left_out.push(what),
     }
-    let stored = Stored { dims, z_fastest: false, dtype, big_endian, scale: None, data, notes: Vec::new() };
+    let stored = Stored { big_endian, about, ..Stored::new(dims, dtype, data) };
     Volume::with(path, stored, facts, opts)
 }
 
