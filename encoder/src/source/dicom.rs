@@ -146,7 +146,11 @@ pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result
         return Err(Error::format(path, "no DICOM file here has pixels; expected the slices of a series"));
     };
     if n_series > 1 {
-        left_out.push(format!("{} of {n_series} series, {} frames: the largest is read", n_series - 1, all - frames.len()));
+        left_out.push(format!(
+            "{} of {n_series} series, {} frames: the largest is read",
+            n_series - 1,
+            all - frames.len()
+        ));
     }
     if without > 0 {
         left_out.push(format!("{without} files without pixels"));
@@ -239,7 +243,10 @@ impl Walk<'_> {
             return Some((tag, *b"??", at + 8, self.number(at + 4, 4)?));
         }
         let kind: [u8; 2] = self.bytes.get(at + 4..at + 6)?.try_into().ok()?;
-        let long = matches!(&kind, b"OB" | b"OD" | b"OF" | b"OL" | b"OV" | b"OW" | b"SQ" | b"SV" | b"UC" | b"UN" | b"UR" | b"UT" | b"UV");
+        let long = matches!(
+            &kind,
+            b"OB" | b"OD" | b"OF" | b"OL" | b"OV" | b"OW" | b"SQ" | b"SV" | b"UC" | b"UN" | b"UR" | b"UT" | b"UV"
+        );
         match long {
             true => Some((tag, kind, at + 12, self.number(at + 8, 4)?)),
             false => Some((tag, kind, at + 8, self.number(at + 6, 2)?)),
@@ -266,7 +273,9 @@ impl Walk<'_> {
             let to = if len == UNDEFINED { end } else { from + len as usize };
             at = match sequence {
                 // Those of a type that is not known have items without types.
-                true if kind == *b"UN" => Walk { explicit: false, big_endian: false, ..*self }.items(from, to, pixels, depth + 1)?,
+                true if kind == *b"UN" => {
+                    Walk { explicit: false, big_endian: false, ..*self }.items(from, to, pixels, depth + 1)?
+                }
                 true => self.items(from, to, pixels, depth + 1)?,
                 false => to,
             };
@@ -332,7 +341,8 @@ fn frames(path: &Path, object: &DefaultDicomObject, file: usize) -> Result<Optio
         return fail(format!("{columns} columns × {rows} rows"));
     };
     let kind = text(object, tags::PHOTOMETRIC).unwrap_or_else(|| "MONOCHROME2".to_owned());
-    if int(object, tags::SAMPLES).unwrap_or(1) != 1 || !(kind.starts_with("MONOCHROME") || kind.starts_with("PALETTE")) {
+    if int(object, tags::SAMPLES).unwrap_or(1) != 1 || !(kind.starts_with("MONOCHROME") || kind.starts_with("PALETTE"))
+    {
         return fail(format!("colours ({kind}) are not read; save it as grey"));
     }
     let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']);
@@ -346,7 +356,9 @@ fn frames(path: &Path, object: &DefaultDicomObject, file: usize) -> Result<Optio
         _ => "",
     };
     if !codec.is_empty() {
-        return fail(format!("values are packed as {codec} ({syntax}), which is not read; unpack them, as gdcmconv --raw does"));
+        return fail(format!(
+            "values are packed as {codec} ({syntax}), which is not read; unpack them, as gdcmconv --raw does"
+        ));
     }
     // Floats have no bits to be stored in.
     let bits = int(object, tags::BITS_ALLOCATED).unwrap_or(0);
@@ -369,7 +381,8 @@ fn frames(path: &Path, object: &DefaultDicomObject, file: usize) -> Result<Optio
     if n > 1 << 20 {
         return fail(format!("{n} frames; at most {} are read", 1 << 20));
     }
-    let offsets = object.get(tags::FRAME_OFFSETS).and_then(|e| e.to_multi_float64().ok()).filter(|v| v.len() as i64 == n);
+    let offsets =
+        object.get(tags::FRAME_OFFSETS).and_then(|e| e.to_multi_float64().ok()).filter(|v| v.len() as i64 == n);
     let frames = (0..n as usize).map(|i| {
         let groups = [own.get(i), shared];
         let of = |sequence: Tag| group(&groups, sequence);
@@ -396,7 +409,9 @@ fn frames(path: &Path, object: &DefaultDicomObject, file: usize) -> Result<Optio
             form,
             position,
             orientation,
-            pixel: numbers::<2>(measures, tags::PIXEL_SPACING).filter(|v| v[0] > 0.0 && v[1] > 0.0).map(|[y, x]| [x, y]),
+            pixel: numbers::<2>(measures, tags::PIXEL_SPACING)
+                .filter(|v| v[0] > 0.0 && v[1] > 0.0)
+                .map(|[y, x]| [x, y]),
             step: [tags::SPACING_BETWEEN_SLICES, tags::SLICE_THICKNESS]
                 .into_iter()
                 .find_map(|tag| number(measures, tag).map(f64::abs).filter(|&v| v > 0.0)),
@@ -460,7 +475,8 @@ fn in_place(mut frames: Vec<Frame>, left_out: &mut Vec<String>) -> (Vec<Frame>, 
     if !placed {
         frames.sort_by_key(|f| (f.order, f.file, f.index));
         if frames.len() > 1 {
-            left_out.push("places of slices, which the files do not state: they are in order of their numbers".to_owned());
+            left_out
+                .push("places of slices, which the files do not state: they are in order of their numbers".to_owned());
         }
         return (frames, stated);
     }
@@ -468,7 +484,9 @@ fn in_place(mut frames: Vec<Frame>, left_out: &mut Vec<String>) -> (Vec<Frame>, 
     for frame in &mut frames {
         frame.along = frame.position.expect("all have one").iter().zip(n).map(|(p, n)| p * n).sum();
     }
-    frames.sort_by(|a, b| a.along.total_cmp(&b.along).then_with(|| (a.order, a.file, a.index).cmp(&(b.order, b.file, b.index))));
+    frames.sort_by(|a, b| {
+        a.along.total_cmp(&b.along).then_with(|| (a.order, a.file, a.index).cmp(&(b.order, b.file, b.index)))
+    });
     let all = frames.len();
     // Of frames at one place the one that comes first.
     let mut places: Vec<Frame> = Vec::new();
@@ -485,7 +503,9 @@ fn in_place(mut frames: Vec<Frame>, left_out: &mut Vec<String>) -> (Vec<Frame>, 
     close(&mut group);
     if places.len() < all {
         let (n, of) = (all - places.len(), places.len());
-        left_out.push(format!("{n} frames at the places of others (times, echoes): of {all} the first at each of {of} places is read"));
+        left_out.push(format!(
+            "{n} frames at the places of others (times, echoes): of {all} the first at each of {of} places is read"
+        ));
     }
     let steps: Vec<f64> = places.windows(2).map(|w| w[1].along - w[0].along).collect();
     if steps.is_empty() {
@@ -507,7 +527,10 @@ fn in_place(mut frames: Vec<Frame>, left_out: &mut Vec<String>) -> (Vec<Frame>, 
     let along = places[places.len() - 1].along - places[0].along;
     let aside: f64 = (0..3).map(|i| (b[i] - a[i] - n[i] * along).powi(2)).sum::<f64>().sqrt();
     if aside > places[0].pixel.map_or(1.0, |p| p[0].max(p[1])) {
-        left_out.push(format!("the tilt of the slices ({:.1}°): they are stacked upright", (aside / along).atan().to_degrees()));
+        left_out.push(format!(
+            "the tilt of the slices ({:.1}°): they are stacked upright",
+            (aside / along).atan().to_degrees()
+        ));
     }
     (places, Some(short(middle)))
 }
@@ -622,7 +645,8 @@ fn pixels(path: &Path, object: &DefaultDicomObject, frame: &Frame) -> Result<(Dt
     let n = form.values() as usize;
     let dtype = floats.as_ref().map_or(form.dtype(), |f| f.1);
     let size = if form.allocated == 1 { 1 } else { dtype.size() as usize };
-    let short = |got: usize| fail(format!("{got} bytes of pixels, {} × {} of them expect more", form.size[0], form.size[1]));
+    let short =
+        |got: usize| fail(format!("{got} bytes of pixels, {} × {} of them expect more", form.size[0], form.size[1]));
     if element.fragments().is_some() {
         if form.allocated == 1 {
             return Err(fail("packed bits of 1 bit a value; unpack them".to_owned()));

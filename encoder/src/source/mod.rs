@@ -57,9 +57,9 @@ mod points;
 pub mod procedural;
 mod spots;
 mod stack;
-mod tiff_pages;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
+mod tiff_pages;
 mod values;
 mod volume;
 mod vox;

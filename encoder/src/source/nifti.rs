@@ -244,11 +244,20 @@ fn volume<'a>(
         bytes.get(start as usize..).and_then(|v| v.get(..expected as usize)).ok_or_else(|| short(bytes.len() as u64))
     };
     let of = |path: &Path, bytes: &'a [u8]| -> Result<Data<'a>> {
-        if bytes.starts_with(b"\x1f\x8b") { gunzip(path, bytes, start, end)?.map_err(short) } else { part(bytes).map(Data::Slice) }
+        if bytes.starts_with(b"\x1f\x8b") {
+            gunzip(path, bytes, start, end)?.map_err(short)
+        } else {
+            part(bytes).map(Data::Slice)
+        }
     };
     let data = match (single, whole, image) {
         (true, Some(whole), _) => of(path, whole)?,
-        (true, None, _) => return fail("byte 344: NIfTI header: its values follow it, but an image beside it was named; name the header".to_owned()),
+        (true, None, _) => {
+            return fail(
+                "byte 344: NIfTI header: its values follow it, but an image beside it was named; name the header"
+                    .to_owned(),
+            );
+        }
         (false, _, Some((path, bytes))) => of(path, bytes)?,
         (false, _, None) => {
             let pair = beside(path, "img")?;

@@ -517,10 +517,13 @@ mod tests {
         assert_eq!(read("( 6L ,\n17, 2_3,)"), Ok(Value::Tuple(vec![int(6), int(17), int(23)])));
         assert_eq!(read("(7)"), Ok(int(7)));
         assert_eq!(read("(7,) "), Ok(Value::Tuple(vec![int(7)])));
-        assert_eq!(read("{\"a\": [u'b', None]}"), Ok(Value::Dict(vec![(
-            Value::Text("a".to_owned()),
-            Value::List(vec![Value::Text("b".to_owned()), Value::None])
-        )])));
+        assert_eq!(
+            read("{\"a\": [u'b', None]}"),
+            Ok(Value::Dict(vec![(
+                Value::Text("a".to_owned()),
+                Value::List(vec![Value::Text("b".to_owned()), Value::None])
+            )]))
+        );
         for bad in ["", "(1", "{'a' 1}", "'a", "(1 2)", "{'a': 1", "x", "-1", "(1,) 2", &"(".repeat(99)] {
             assert!(read(bad).is_err(), "{bad}");
         }

@@ -148,7 +148,10 @@ fn counted(path: &Path, tiff: &Tiff, main: usize, format: &'static str, axes: &A
         if own.len() == 1 {
             return in_one_piece(path, tiff, main, format, axes, n);
         }
-        let what = format!("{format}: {n} pages by its description, the file has {}; it is cut short, or was edited", own.len());
+        let what = format!(
+            "{format}: {n} pages by its description, the file has {}; it is cut short, or was edited",
+            own.len()
+        );
         return Err(Error::format(path, what));
     }
     let mut plan = Plan::along_z(format, axes, |i| page(own[i as usize] as u64));
@@ -182,7 +185,13 @@ fn generic(tiff: &Tiff, main: usize) -> Plan {
     let (mut extra, mut unlike) = (0, Vec::new());
     let like = |ifd: &Ifd| {
         let int = |t| tiff.int(ifd, t);
-        (int(tag::WIDTH), int(tag::LENGTH), int(tag::BITS), int(tag::SAMPLE_FORMAT).unwrap_or(1), int(tag::SAMPLES).unwrap_or(1))
+        (
+            int(tag::WIDTH),
+            int(tag::LENGTH),
+            int(tag::BITS),
+            int(tag::SAMPLE_FORMAT).unwrap_or(1),
+            int(tag::SAMPLES).unwrap_or(1),
+        )
     };
     for (i, ifd) in tiff.pages.iter().enumerate() {
         let size = |t| tiff.int(ifd, t).unwrap_or(0);
@@ -212,7 +221,8 @@ fn imagej(path: &Path, tiff: &Tiff, main: usize, text: &str) -> Result<Plan> {
     let count = |name: &str| fields.get(name).and_then(|v| v.trim().parse::<u64>().ok()).filter(|&n| n > 0);
     let first = &tiff.pages[main];
     let number = |name: &str| fields.get(name).and_then(|v| v.trim().parse::<f64>().ok()).filter(|v| v.is_finite());
-    let (mut c, mut z, t) = (count("channels").unwrap_or(1), count("slices").unwrap_or(1), count("frames").unwrap_or(1));
+    let (mut c, mut z, t) =
+        (count("channels").unwrap_or(1), count("slices").unwrap_or(1), count("frames").unwrap_or(1));
     let images = count("images").unwrap_or(1);
     let own = tiff.pages.iter().filter(|ifd| !tiff.is_extra(ifd)).count() as u64;
     // Channels that are samples of a pixel have no pages of their own.
@@ -239,7 +249,8 @@ fn imagej(path: &Path, tiff: &Tiff, main: usize, text: &str) -> Result<Plan> {
         other => other.chars().take(32).collect(),
     };
     let side = |t: u16| tiff.ratio(first, t).filter(|&r| r > 0.0).map(|r| 1.0 / r);
-    let sides = (side(tag::X_RESOLUTION), side(tag::Y_RESOLUTION), number("spacing").map(f64::abs).filter(|&v| v > 0.0));
+    let sides =
+        (side(tag::X_RESOLUTION), side(tag::Y_RESOLUTION), number("spacing").map(f64::abs).filter(|&v| v > 0.0));
     if let (Some(x), Some(y), Some(z), false) = (sides.0, sides.1, sides.2, plan.unit.is_empty()) {
         plan.voxel = Some([x, y, z].map(rounded));
     }
@@ -269,7 +280,8 @@ fn shaped(path: &Path, tiff: &Tiff, main: usize, text: &str) -> Result<Option<Pl
         return Ok(None);
     }
     let Ok(json) = serde_json::from_str::<serde_json::Value>(text.trim()) else { return Ok(None) };
-    let shape: Option<Vec<u64>> = json["shape"].as_array().and_then(|v| v.iter().map(serde_json::Value::as_u64).collect());
+    let shape: Option<Vec<u64>> =
+        json["shape"].as_array().and_then(|v| v.iter().map(serde_json::Value::as_u64).collect());
     let Some(shape) = shape.filter(|s| !s.is_empty()) else { return Ok(None) };
     let of = Page::new(path, tiff, &tiff.pages[main])?;
     let (w, h, s) = (u64::from(of.width), u64::from(of.height), u64::from(of.samples));
@@ -344,7 +356,9 @@ fn gdal_scale(tiff: &Tiff, ifd: &Ifd, plan: &mut Plan) {
     let Some(text) = tiff.text(ifd, tag::GDAL_METADATA) else { return };
     let Ok(xml) = roxmltree::Document::parse(text.trim()) else { return };
     let item = |name: &str| -> Option<String> {
-        let of = |i: &roxmltree::Node| i.attribute("role") == Some(name) && matches!(i.attribute("sample"), None | Some("0"));
+        let of = |i: &roxmltree::Node| {
+            i.attribute("role") == Some(name) && matches!(i.attribute("sample"), None | Some("0"))
+        };
         Some(xml.descendants().find(of)?.text()?.trim().to_owned())
     };
     let number = |name: &str| item(name).and_then(|t| t.parse::<f64>().ok()).filter(|v| v.is_finite());
@@ -401,12 +415,14 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
     let sc = channels.div_ceil(per_page);
     let order = pixels.attribute("DimensionOrder").unwrap_or("XYCZT");
     let axes: Option<Axes> = order.strip_prefix("XY").filter(|o| o.len() == 3).and_then(|o| {
-        let of = |c| Some(match c {
-            'C' => ('C', sc),
-            'Z' => ('Z', sz),
-            'T' => ('T', st),
-            _ => return None,
-        });
+        let of = |c| {
+            Some(match c {
+                'C' => ('C', sc),
+                'Z' => ('Z', sz),
+                'T' => ('T', st),
+                _ => return None,
+            })
+        };
         o.chars().map(of).collect()
     });
     let axes = axes.filter(|a| ['C', 'Z', 'T'].iter().all(|n| a.iter().any(|x| x.0 == *n)));
@@ -442,11 +458,13 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
         let mut stride = 1;
         let mut at = 0;
         for &(name, n) in &axes {
-            at += stride * first(match name {
-                'C' => "FirstC",
-                'Z' => "FirstZ",
-                _ => "FirstT",
-            }).min(n);
+            at += stride
+                * first(match name {
+                    'C' => "FirstC",
+                    'Z' => "FirstZ",
+                    _ => "FirstT",
+                })
+                .min(n);
             stride *= n;
         }
         let ifd = number("IFD");
@@ -458,7 +476,11 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
         }
         for i in 0..planes {
             if let Some(z) = z_of(at + i) {
-                slices.entry(z).or_insert(Slice { file: other.clone(), page: (ifd.unwrap_or(0) + i) as usize, plane: 0 });
+                slices.entry(z).or_insert(Slice {
+                    file: other.clone(),
+                    page: (ifd.unwrap_or(0) + i) as usize,
+                    plane: 0,
+                });
             }
         }
     }
@@ -484,15 +506,20 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
     if channels > sc && sc > 1 {
         plan.left_out.push(format!("{channels} channels are {sc} of {per_page} samples: the first is read"));
     }
-    let side = |name: &str| pixels.attribute(name).and_then(|v| v.trim().parse::<f64>().ok()).filter(|&v| v > 0.0 && v.is_finite());
+    let side = |name: &str| {
+        pixels.attribute(name).and_then(|v| v.trim().parse::<f64>().ok()).filter(|&v| v > 0.0 && v.is_finite())
+    };
     if let (Some(x), Some(y)) = (side("PhysicalSizeX"), side("PhysicalSizeY")) {
-        let units = ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"].map(|u| pixels.attribute(u).unwrap_or("µm"));
+        let units = ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"]
+            .map(|u| pixels.attribute(u).unwrap_or("µm"));
         match side("PhysicalSizeZ") {
             Some(z) if units.iter().all(|u| *u == units[0]) => {
                 plan.voxel = Some([x, y, z]);
                 plan.unit = units[0].chars().take(32).collect();
             }
-            Some(z) => plan.left_out.push(format!("voxels of {x} {} × {y} {} × {z} {} are drawn as cubes", units[0], units[1], units[2])),
+            Some(z) => plan
+                .left_out
+                .push(format!("voxels of {x} {} × {y} {} × {z} {} are drawn as cubes", units[0], units[1], units[2])),
             None => {}
         }
     }
@@ -517,21 +544,31 @@ fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> R
     (about.voxel, about.unit, about.rule, about.left_out) = (voxel, unit, rule, left_out);
     say_samples(tiff, ifd, &of, &mut about);
     if let Some((slope, inter)) = scale {
-        about.rule = format!("values are stored · {slope} + {inter}{}", if about.rule.is_empty() { String::new() } else { format!(", {}", about.rule) });
+        about.rule = format!(
+            "values are stored · {slope} + {inter}{}",
+            if about.rule.is_empty() { String::new() } else { format!(", {}", about.rule) }
+        );
     }
     let missing = tiff.text(ifd, tag::GDAL_NODATA).and_then(|t| t.trim().parse::<f64>().ok()).filter(|v| !v.is_nan());
     if let Some(v) = missing {
-        about.rule = format!("{}{v} is air (GDAL no-data)", if about.rule.is_empty() { String::new() } else { format!("{}; ", about.rule) });
+        about.rule = format!(
+            "{}{v} is air (GDAL no-data)",
+            if about.rule.is_empty() { String::new() } else { format!("{}; ", about.rule) }
+        );
     }
     let in_order = slices.iter().enumerate().all(|(i, s)| s.file.is_none() && s.page == home && s.plane == i as u64);
     if let Some(start) = of.contiguous().filter(|_| in_order) {
         let len = of.byte_len().saturating_mul(slices.len() as u64);
         let end = start.checked_add(len).filter(|&end| end <= tiff.all.len() as u64);
         let end = end.ok_or_else(|| {
-            Error::format(path, format!("byte {start}: {len} bytes of values, the file ends at byte {}", tiff.all.len()))
+            Error::format(
+                path,
+                format!("byte {start}: {len} bytes of values, the file ends at byte {}", tiff.all.len()),
+            )
         })?;
         let data = Data::Slice(&tiff.all[start as usize..end as usize]);
-        let stored = Stored { big_endian: tiff.big_endian, scale, missing, about, ..Stored::new(dims, of.dtype(), data) };
+        let stored =
+            Stored { big_endian: tiff.big_endian, scale, missing, about, ..Stored::new(dims, of.dtype(), data) };
         return Volume::new(path, stored, opts);
     }
     let mut out = Scratch::new(path, opts)?;
@@ -606,7 +643,11 @@ impl Scratch {
         if self.n == 0 {
             let [x, y] = size.map(u64::from);
             let dims = if self.world == Some(super::Up::Z) { [x, 1, y] } else { [x, y, 1] };
-            world_dims(path, if self.world == Some(super::Up::X) { [1, x, y] } else { dims }, "choose another axis with --up")?;
+            world_dims(
+                path,
+                if self.world == Some(super::Up::X) { [1, x, y] } else { dims },
+                "choose another axis with --up",
+            )?;
         }
         self.n += 1;
         Ok(())
@@ -699,7 +740,8 @@ pub(super) fn folder(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
                 if let Some((slope, inter)) = scale {
                     own.rule = format!("values are stored · {slope} + {inter}");
                 }
-                missing = tiff.text(ifd, tag::GDAL_NODATA).and_then(|t| t.trim().parse::<f64>().ok()).filter(|v| !v.is_nan());
+                missing =
+                    tiff.text(ifd, tag::GDAL_NODATA).and_then(|t| t.trim().parse::<f64>().ok()).filter(|v| !v.is_nan());
                 about = Some(own);
             } else if plan.scale != scale {
                 let what = format!("values mean stored · {:?}, in the first file · {scale:?}", plan.scale);

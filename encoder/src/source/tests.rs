@@ -308,7 +308,9 @@ fn npy_headers_are_those_that_python_reads() {
     assert_eq!(left_out, ["fields 'name', 'w' of the records: the first number is read", "5 bytes after the array"]);
     let booleans = npy_file("|b1", "False", "2, 3, 4", &[0, 1, 2, 255].repeat(6));
     assert_eq!(read("a.npy", &booleans, "").columns.voxels(), 18);
-    for (descr, what) in [("'|O'", "pickled"), ("'<c16'", "complex"), ("'<M8[ns]'", "dates"), ("[('a', '<c8')]", "none of whose")] {
+    for (descr, what) in
+        [("'|O'", "pickled"), ("'<c16'", "complex"), ("'<M8[ns]'", "dates"), ("[('a', '<c8')]", "none of whose")]
+    {
         let text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': (1, 1, 1)}}");
         assert!(error("a.npy", &file(&text, &[0; 16]), "").contains(what), "{descr}");
     }

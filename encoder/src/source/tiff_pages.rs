@@ -443,7 +443,8 @@ impl Page {
     /// Where the values start, if they lie in the file one after the other, as they are handed out but for the order of bytes.
     pub fn contiguous(&self) -> Option<u64> {
         let plain = self.compression == 1 && self.samples == 1 && !self.is_color() && self.predictor == 1;
-        let whole = matches!(self.bits, 8 | 16 | 32 | 64) && !self.reversed && self.bits as u64 == 8 * self.dtype().size();
+        let whole =
+            matches!(self.bits, 8 | 16 | 32 | 64) && !self.reversed && self.bits as u64 == 8 * self.dtype().size();
         let strips = self.chunk[0] == self.width && self.offsets.first() != Some(&0);
         let bytes = |rows: u32| u64::from(self.width) * u64::from(rows) * u64::from(self.bits / 8);
         let full = bytes(self.chunk[1]);
@@ -534,7 +535,11 @@ impl Page {
         let (mut bytes, native) = decoded.map_err(|what| fail(format!("{}: {what}", self.codec())))?;
         drop(stored);
         if bytes.len() < expected {
-            return Err(fail(format!("{}: {} bytes, {wide} × {rows} pixels take {expected}", self.codec(), bytes.len())));
+            return Err(fail(format!(
+                "{}: {} bytes, {wide} × {rows} pixels take {expected}",
+                self.codec(),
+                bytes.len()
+            )));
         }
         bytes.truncate(expected);
         if self.is_color() {
@@ -595,7 +600,9 @@ impl Page {
                 out.truncate(n);
             }
             7 => return self.jpeg(stored, expected).map(|v| (v, true)),
-            8 | 32_946 => drop(flate2::read::ZlibDecoder::new(stored).take(expected as u64).read_to_end(&mut out).map_err(text)?),
+            8 | 32_946 => {
+                drop(flate2::read::ZlibDecoder::new(stored).take(expected as u64).read_to_end(&mut out).map_err(text)?)
+            }
             32_773 => pack_bits(stored, expected, &mut out),
             3 | 4 => self.fax(stored, rows, &mut out)?,
             34_926 | 50_000 => out = unzstd(stored, expected).map_err(text)?,
@@ -620,14 +627,14 @@ impl Page {
         use lerc::SampleData;
         let info = lerc::decode_info(blob).map_err(|e| e.to_string())?;
         let samples = if self.planar { 1 } else { self.samples };
-        let values = u64::from(info.width) * u64::from(info.height) * u64::from(info.depth) * u64::from(info.bands.max(1));
+        let values =
+            u64::from(info.width) * u64::from(info.height) * u64::from(info.depth) * u64::from(info.bands.max(1));
         let shape = (info.width, u64::from(info.depth) * u64::from(info.bands.max(1)));
         if shape != (self.chunk[0], samples.into()) || info.height < rows || values * 8 > BAND_LIMIT {
             return Err(format!("{} × {} × {} values", info.width, info.height, shape.1));
         }
-        let image = super::guarded(path, "LERC", || {
-            lerc::decode(blob).map_err(|e| Error::format(path, format!("LERC: {e}")))
-        });
+        let image =
+            super::guarded(path, "LERC", || lerc::decode(blob).map_err(|e| Error::format(path, format!("LERC: {e}"))));
         let image = image.map_err(|e| e.to_string())?;
         let missing = image.valid_masks.first().is_some_and(|mask| mask.num_pixels() > 0 && !mask.is_all_valid());
         let mut data = image.data;
@@ -635,8 +642,12 @@ impl Page {
             let mask = &image.valid_masks[0];
             let n = samples as usize;
             match &mut data {
-                SampleData::F32(v) => v.iter_mut().enumerate().filter(|(i, _)| !mask.is_valid(i / n)).for_each(|(_, v)| *v = f32::NAN),
-                SampleData::F64(v) => v.iter_mut().enumerate().filter(|(i, _)| !mask.is_valid(i / n)).for_each(|(_, v)| *v = f64::NAN),
+                SampleData::F32(v) => {
+                    v.iter_mut().enumerate().filter(|(i, _)| !mask.is_valid(i / n)).for_each(|(_, v)| *v = f32::NAN)
+                }
+                SampleData::F64(v) => {
+                    v.iter_mut().enumerate().filter(|(i, _)| !mask.is_valid(i / n)).for_each(|(_, v)| *v = f64::NAN)
+                }
                 _ => {}
             }
         }
@@ -684,7 +695,8 @@ impl Page {
     }
 
     fn fax(&self, stored: &[u8], rows: u32, out: &mut Vec<u8>) -> Result<(), String> {
-        let width = u16::try_from(self.chunk[0]).map_err(|_| format!("{} pixels wide, at most 65535", self.chunk[0]))?;
+        let width =
+            u16::try_from(self.chunk[0]).map_err(|_| format!("{} pixels wide, at most 65535", self.chunk[0]))?;
         let bytes = usize::from(width).div_ceil(8);
         let mut line = |transitions: &[u16]| {
             let at = out.len();
@@ -833,7 +845,8 @@ mod tests {
 
     #[test]
     fn small_floats_are_those_of_ieee_754() {
-        let cases = [(0x3c00, 1.0), (0xc000, -2.0), (0x7bff, 65_504.0), (0x0001, 5.960_464_5e-8), (0x0400, 6.103_515_6e-5)];
+        let cases =
+            [(0x3c00, 1.0), (0xc000, -2.0), (0x7bff, 65_504.0), (0x0001, 5.960_464_5e-8), (0x0400, 6.103_515_6e-5)];
         for (bits, value) in cases {
             assert_eq!(half(bits), value, "{bits:#x}");
         }

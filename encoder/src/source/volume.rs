@@ -490,7 +490,9 @@ impl<'a> Volume<'a> {
         };
         let masks = match solid {
             Solid::AtLeast(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
-            Solid::NotZero if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => masks(u8::from_le_bytes, |v| v > 0),
+            Solid::NotZero if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => {
+                masks(u8::from_le_bytes, |v| v > 0)
+            }
             Solid::NotZero => with_sample!(dtype, big_endian, |read| {
                 masks(read, move |v| {
                     let v = v.to_f64();

@@ -125,7 +125,9 @@ fn image_of(image: &Value, scale: &Value, datasets: &[Value], at: usize, version
             .iter()
             .map(|axis| match axis.as_str() {
                 Some(name) => Axis { name: name.to_owned(), ..Axis::default() },
-                None => Axis { name: text(&axis["name"]), kind: text(&axis["type"]), unit: text(&axis["unit"]), step: 0.0 },
+                None => {
+                    Axis { name: text(&axis["name"]), kind: text(&axis["type"]), unit: text(&axis["unit"]), step: 0.0 }
+                }
             })
             .collect(),
         // Before 0.3 there was but one order.
@@ -260,8 +262,8 @@ fn role(axis: &Axis, all: &[Axis]) -> Role {
         (_, "height") if !all.iter().any(|a| a.name != axis.name && role(a, &[]) == Role::Y) => Role::Y,
         (
             _,
-            "depth" | "slice" | "slices" | "plane" | "planes" | "lev" | "level" | "levels" | "layer" | "altitude" | "alt"
-            | "height" | "elevation" | "pressure" | "plev" | "isobaric",
+            "depth" | "slice" | "slices" | "plane" | "planes" | "lev" | "level" | "levels" | "layer" | "altitude"
+            | "alt" | "height" | "elevation" | "pressure" | "plev" | "isobaric",
         ) => Role::Z,
         (_, "t" | "time" | "times" | "frame" | "frames" | "date") => Role::Time,
         (_, "c" | "channel" | "channels" | "ch" | "band" | "bands" | "wavelength" | "rgb" | "rgba" | "component") => {
@@ -294,7 +296,9 @@ struct Meaning {
 }
 
 fn meaning(node: &Node, left_out: &mut Vec<String>) -> Meaning {
-    let of = |name: &str| node.attributes.get(name).map(|v| if let Value::Array(a) = v { a.first().unwrap_or(v) } else { v });
+    let of = |name: &str| {
+        node.attributes.get(name).map(|v| if let Value::Array(a) = v { a.first().unwrap_or(v) } else { v })
+    };
     let number = |v: &Value| match v {
         Value::Number(n) => n.as_f64(),
         Value::String(s) => s.parse().ok().or_else(|| base64_f64(s)),
@@ -324,7 +328,8 @@ fn meaning(node: &Node, left_out: &mut Vec<String>) -> Meaning {
             left_out.push(format!("{name} {v}: values beyond it count as others do"));
         }
     }
-    out.unsigned = of("_Unsigned").is_some_and(|v| matches!(v.as_str(), Some("true" | "True")) || v == &Value::Bool(true));
+    out.unsigned =
+        of("_Unsigned").is_some_and(|v| matches!(v.as_str(), Some("true" | "True")) || v == &Value::Bool(true));
     out.unit = of("units").and_then(Value::as_str).unwrap_or_default().chars().take(64).collect();
     out
 }
@@ -495,7 +500,8 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
                     Convert::As => (0..n).for_each(|i| row.extend_from_slice(&values[from + i * sx..][..one])),
                     _ => (0..n).for_each(|i| {
                         let bits = u16::from_ne_bytes([values[from + i * sx], values[from + i * sx + 1]]);
-                        let v = if convert == Convert::Half { half(bits) } else { f32::from_bits(u32::from(bits) << 16) };
+                        let v =
+                            if convert == Convert::Half { half(bits) } else { f32::from_bits(u32::from(bits) << 16) };
                         row.extend_from_slice(&v.to_ne_bytes());
                     }),
                 }
@@ -510,13 +516,17 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
         None => format!("Zarr {}", own.version),
     };
     let mut about = About::new(Kind::Volume, format);
-    let words: Vec<String> = axes.iter().enumerate().map(|(i, axis)| {
-        let name = if axis.name.is_empty() { "?".to_owned() } else { axis.name.clone() };
-        match place.iter().position(|p| *p == Some(i)) {
-            Some(k) if name != ["x", "y", "z"][k] => format!("{name} as {}", ["x", "y", "z"][k]),
-            _ => name,
-        }
-    }).collect();
+    let words: Vec<String> = axes
+        .iter()
+        .enumerate()
+        .map(|(i, axis)| {
+            let name = if axis.name.is_empty() { "?".to_owned() } else { axis.name.clone() };
+            match place.iter().position(|p| *p == Some(i)) {
+                Some(k) if name != ["x", "y", "z"][k] => format!("{name} as {}", ["x", "y", "z"][k]),
+                _ => name,
+            }
+        })
+        .collect();
     about.axes = match named_by {
         "" => "the last three axes are z, y, x".to_owned(),
         by => format!("axes ({}) by {by}", words.join(", ")),

@@ -29,7 +29,8 @@ fn element(tag: (u16, u16), kind: &str, value: &[u8]) -> Vec<u8> {
 
 /// A sequence of items of these elements.
 fn sequence(tag: (u16, u16), items: &[Vec<u8>]) -> Vec<u8> {
-    let item = |content: &Vec<u8>| [&[0xfe, 0xff, 0, 0xe0][..], &(content.len() as u32).to_le_bytes(), content].concat();
+    let item =
+        |content: &Vec<u8>| [&[0xfe, 0xff, 0, 0xe0][..], &(content.len() as u32).to_le_bytes(), content].concat();
     element(tag, "SQ", &items.iter().flat_map(item).collect::<Vec<u8>>())
 }
 
@@ -177,7 +178,10 @@ fn what_a_series_lacks_or_has_beside_is_said() {
         about.left_out[0].clone()
     };
     assert!(with(Slice { series: "1.2.4", ..Slice::at(2.0, slice(2)) }).starts_with("1 of 2 series, 1 frames"));
-    assert!(with(Slice { orientation: "0\\1\\0\\0\\0\\-1", ..Slice::at(2.0, slice(2)) }).contains("another size, type or direction"));
+    assert!(
+        with(Slice { orientation: "0\\1\\0\\0\\0\\-1", ..Slice::at(2.0, slice(2)) })
+            .contains("another size, type or direction")
+    );
     let again = with(Slice { number: 9, ..Slice::at(1.0, slice(5)) });
     assert!(again.contains("1 frames at the places of others"), "{again}");
     let tilted: Vec<Slice> =
@@ -222,11 +226,14 @@ fn frames(places: &[f64], bits: u16, pixels: &[u8], segments: &[u16]) -> Vec<u8>
     let shared = [
         sequence((0x0020, 0x9116), &[element((0x0020, 0x0037), "DS", b"1\\0\\0\\0\\1\\0")]),
         sequence((0x0028, 0x9110), &[element((0x0028, 0x0030), "DS", b"0.5\\0.25")]),
-        sequence((0x0028, 0x9145), &[[
-            element((0x0028, 0x1052), "DS", b"0"),
-            element((0x0028, 0x1053), "DS", if bits == 1 { b"1" } else { b"3" }),
-        ]
-        .concat()]),
+        sequence(
+            (0x0028, 0x9145),
+            &[[
+                element((0x0028, 0x1052), "DS", b"0"),
+                element((0x0028, 0x1053), "DS", if bits == 1 { b"1" } else { b"3" }),
+            ]
+            .concat()],
+        ),
     ]
     .concat();
     let body = [

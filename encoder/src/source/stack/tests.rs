@@ -93,13 +93,16 @@ fn tiff(big: bool, dirs: &[Dir], after: &[u8]) -> Vec<u8> {
         let mut entries: Vec<(u16, Vec<u8>)> = tags
             .drain(..)
             .map(|(tag, value)| {
-                (tag, match value {
-                    Tag::Short(v) => place(3, v.len(), v.iter().flat_map(|&v| two(v)).collect()),
-                    Tag::Long(v) => place(4, v.len(), v.iter().flat_map(|&v| four(v)).collect()),
-                    Tag::Text(s) => place(2, s.len() + 1, [s.as_bytes(), b"\0"].concat()),
-                    Tag::Ratio(a, b) => place(5, 1, [four(a), four(b)].concat()),
-                    Tag::Bytes(b) => place(7, b.len(), b),
-                })
+                (
+                    tag,
+                    match value {
+                        Tag::Short(v) => place(3, v.len(), v.iter().flat_map(|&v| two(v)).collect()),
+                        Tag::Long(v) => place(4, v.len(), v.iter().flat_map(|&v| four(v)).collect()),
+                        Tag::Text(s) => place(2, s.len() + 1, [s.as_bytes(), b"\0"].concat()),
+                        Tag::Ratio(a, b) => place(5, 1, [four(a), four(b)].concat()),
+                        Tag::Bytes(b) => place(7, b.len(), b),
+                    },
+                )
             })
             .collect();
         let strip = at;
@@ -388,9 +391,8 @@ fn codecs_give_what_was_packed() {
         std::io::Write::write_all(&mut out, bytes).unwrap();
         out.finish().unwrap()
     };
-    let lzw = |bytes: &[u8]| {
-        weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8).encode(bytes).unwrap()
-    };
+    let lzw =
+        |bytes: &[u8]| weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8).encode(bytes).unwrap();
     // Runs of one value, and of many.
     let pack_bits = |bytes: &[u8]| -> Vec<u8> {
         bytes
@@ -435,7 +437,9 @@ fn codecs_give_what_was_packed() {
         let dir = dir.with(339, Tag::Short(vec![3]));
         assert_slices(&read("a.tif", &tiff(false, &[dir], &[]), "--format stack --iso 1"), &[3]);
     }
-    for (code, name) in [(6, "JPEG as TIFF 6.0"), (34_712, "JPEG 2000"), (34_925, "LZMA"), (50_001, "WebP"), (99, "not known")] {
+    for (code, name) in
+        [(6, "JPEG as TIFF 6.0"), (34_712, "JPEG 2000"), (34_925, "LZMA"), (50_001, "WebP"), (99, "not known")]
+    {
         let dir = Dir::new(8, slice.clone()).with(259, Tag::Short(vec![code]));
         let e = error("a.tif", &tiff(false, &[dir], &[]), "--format stack");
         assert!(e.contains(name) && e.contains("save it with Deflate"), "{e}");
@@ -491,7 +495,10 @@ fn strips_and_tiles_that_were_never_written_are_zero() {
 fn of_colours_the_brightness_and_of_samples_the_first_is_read() {
     let grey: Vec<u8> = slice(1).iter().flat_map(|&v| [v; 3]).collect();
     let rgb = |strip: Vec<u8>| {
-        Dir::new(8, strip).with(258, Tag::Short(vec![8; 3])).with(262, Tag::Short(vec![2])).with(277, Tag::Short(vec![3]))
+        Dir::new(8, strip)
+            .with(258, Tag::Short(vec![8; 3]))
+            .with(262, Tag::Short(vec![2]))
+            .with(277, Tag::Short(vec![3]))
     };
     let bytes = tiff(false, &[rgb(grey.clone()), rgb(grey)], &[]);
     assert_slices(&read("a.tif", &bytes, ""), &[1, 1]);
@@ -511,7 +518,8 @@ fn of_colours_the_brightness_and_of_samples_the_first_is_read() {
 #[test]
 fn damaged_stacks_are_plain_errors() {
     let mut dirs = slices();
-    dirs[0] = dirs[0].clone().text("ImageJ=1.53t\nimages=6\nslices=6\nspacing=1\nunit=um\n").with(282, Tag::Ratio(1, 1));
+    dirs[0] =
+        dirs[0].clone().text("ImageJ=1.53t\nimages=6\nslices=6\nspacing=1\nunit=um\n").with(282, Tag::Ratio(1, 1));
     let good = tiff(true, &dirs[..2], &[]);
     let flags = opts("--format stack --iso 1");
     let go = |bytes: &[u8], flags: &ReadOptions| drop(source::read(Path::new("a.tif"), bytes, flags));
@@ -531,7 +539,8 @@ fn damaged_stacks_are_plain_errors() {
     let next = 8 + 2 + 12 * 9;
     bytes[next..next + 4].copy_from_slice(&8u32.to_le_bytes());
     assert!(error("a.tif", &bytes, "--format stack").contains("was there before"));
-    let e = error("a.tif", &tiff(false, &[Dir::new(8, slice(0)).with(339, Tag::Short(vec![5]))], &[]), "--format stack");
+    let e =
+        error("a.tif", &tiff(false, &[Dir::new(8, slice(0)).with(339, Tag::Short(vec![5]))], &[]), "--format stack");
     assert!(e.contains("complex numbers"), "{e}");
 }
 

@@ -210,7 +210,10 @@ fn attributes_say_what_values_mean() {
     // As Python's struct and base64 have it.
     assert_eq!(base64_f64("AAAAAACAWMA="), Some(-98.0));
     assert!(base64_f64("AAAAAAAA+H8=").unwrap().is_nan());
-    assert_eq!(quoted(r#"{"a": NaN, "b": "NaN\"NaN", "c": [-Infinity]}"#), r#"{"a": "NaN", "b": "NaN\"NaN", "c": ["-Infinity"]}"#);
+    assert_eq!(
+        quoted(r#"{"a": NaN, "b": "NaN\"NaN", "c": [-Infinity]}"#),
+        r#"{"a": "NaN", "b": "NaN\"NaN", "c": ["-Infinity"]}"#
+    );
 }
 
 #[test]
