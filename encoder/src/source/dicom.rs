@@ -243,10 +243,12 @@ impl Walk<'_> {
             return Some((tag, *b"??", at + 8, self.number(at + 4, 4)?));
         }
         let kind: [u8; 2] = self.bytes.get(at + 4..at + 6)?.try_into().ok()?;
-        let long = matches!(
-            &kind,
-            b"OB" | b"OD" | b"OF" | b"OL" | b"OV" | b"OW" | b"SQ" | b"SV" | b"UC" | b"UN" | b"UR" | b"UT" | b"UV"
-        );
+        // Types that are not known have long lengths, too.
+        const SHORT: [&[u8; 2]; 21] = [
+            b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FL", b"FD", b"IS", b"LO", b"LT", b"PN", b"SH", b"SL",
+            b"SS", b"ST", b"TM", b"UI", b"UL", b"US",
+        ];
+        let long = !SHORT.contains(&&kind);
         match long {
             true => Some((tag, kind, at + 12, self.number(at + 8, 4)?)),
             false => Some((tag, kind, at + 8, self.number(at + 6, 2)?)),

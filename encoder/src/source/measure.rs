@@ -1,4 +1,6 @@
-//! What is solid in a volume of which nobody said it, and how its voxels are coloured: by a sample of its values.
+//! What is solid in a volume of which nobody said it, and how its voxels are coloured: by a sample of its values. Raw and
+//! NumPy volumes, and other arrays of which nothing says how large their voxels are, are no part of this: their bytes are
+//! solid above 0, other values need `--iso`.
 //!
 //! | values | solid | colours |
 //! |---|---|---|

@@ -32,7 +32,9 @@
 //! | input | held | at most |
 //! |---|---|---|
 //! | PNG or JPEG that cannot be read by rows | its pixels, while it is unpacked | 3 to 8 bytes a pixel |
-//! | TIFF | a strip or tile of a height map, a page of a stack | 8 bytes a pixel of it |
+//! | TIFF | a strip or tile of a height map, a row of strips or tiles of a stack | 8 bytes a pixel of it |
+//! | PNG or JPEG slices | one of them, unpacked | 3 to 8 bytes a pixel |
+//! | DICOM | one file, and a frame of it unpacked | the file's size, and 4 bytes a pixel |
 //! | meshes | corners, triangles, textures | 24 to 36 bytes a corner, 16 a triangle, 4 a pixel |
 //! | PLY clouds | points | 16 bytes a point |
 //! | `.vxl` | runs and colours | the file's size, thrice |

@@ -534,7 +534,7 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
 
 /// The volume of a plan.
 fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> Result<Volume<'a>> {
-    let Plan { slices, format, voxel, unit, scale, rule, left_out } = plan;
+    let Plan { slices, format, voxel, unit, scale, rule, left_out, .. } = plan;
     let home = slices.iter().find(|s| s.file.is_none()).map_or(0, |s| s.page);
     let ifd = &tiff.pages[home];
     let of = Page::new(path, tiff, ifd)?;
