@@ -594,7 +594,8 @@ fn about_volume(stored: &Stored, axes: [usize; 3], opts: &ReadOptions) -> About 
         return about;
     }
     about.voxel = about.voxel.map(|v| axes.map(|a| v[a]));
-    if let Some([x, y, z]) = about.voxel.filter(|v| v[0] != v[1] || v[1] != v[2]) {
+    if let Some(sides) = about.voxel.filter(|v| v[0] != v[1] || v[1] != v[2]) {
+        let [x, y, z] = sides.map(|v| format!("{v:.5e}").parse().unwrap_or(v));
         let unit = if about.unit.is_empty() { "units" } else { &about.unit };
         about.left_out.push(format!("voxels of {x} × {y} × {z} {unit} are drawn as cubes"));
     }
