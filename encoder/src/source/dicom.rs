@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 use dicom_object::{DefaultDicomObject, InMemDicomObject, OpenFileOptions, Tag};
 use dicom_pixeldata::PixelDecoder;
 
-use super::volume::{Data, Stored, Volume};
+use super::place::Place;
+use super::volume::{Data, Facts, Stored, Volume};
 use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
 use crate::about::Kind;
 use crate::scratch;
@@ -599,7 +600,18 @@ fn volume(
     let data = Data::File { path: path.to_owned(), file, at: 0, len };
     let big_endian = cfg!(target_endian = "big");
     let scale = Some(scale).filter(|&s| one_scale && s != (1.0, 0.0));
-    Volume::new(path, Stored { big_endian, scale, missing, about, ..Stored::new([x, y, n], dtype, data) }, opts)
+    let facts = Facts { place: place(&frames[0], about.voxel), measured: true, ..Facts::default() };
+    Volume::with(path, Stored { big_endian, scale, missing, about, ..Stored::new([x, y, n], dtype, data) }, facts, opts)
+}
+
+/// Where slices of that size and direction lie that are stacked upright on the first; None where nothing is said of it.
+/// DICOM's coordinates run to the left and the back of a patient.
+fn place(first: &Frame, sides: Option<[f64; 3]>) -> Option<Place> {
+    let ([x, y, z], [a, b, c, d, e, f]) = (sides?, first.orientation?);
+    let turned = |v: [f64; 3], side: f64| [-v[0] * side, -v[1] * side, v[2] * side];
+    let steps = [turned([a, b, c], x), turned([d, e, f], y), turned(normal([a, b, c, d, e, f]), z)];
+    let origin = turned(first.position.unwrap_or_default(), 1.0);
+    (Place { steps, origin, anatomy: true, stated: "ImageOrientationPatient" }).checked().ok()
 }
 
 /// Values as f32, by the line of their own frame; padding is no number.

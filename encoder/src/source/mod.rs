@@ -2,7 +2,10 @@
 //!
 //! | module | reads | world |
 //! |---|---|---|
-//! | `volume`, `npy`, `nrrd`, `nifti` | raw, NPY, NRRD, NIfTI | as stored, or z-up by `--up z` |
+//! | `volume`, `npy` | raw, NPY | as stored, or z-up by `--up z` |
+//! | `nifti`, `nrrd`, `meta_image` | NIfTI, ANALYZE, NRRD, MetaImage | y to the head where the file says where that is; else as stored |
+//! | `mrc`, `vti` | MRC and CCP4 maps, VTK image data | by the axes that the file names |
+//! | `place`, `measure`, `values` | nothing: spacing and axes, what is solid and its colours, values in other forms | |
 //! | `heightmap` | PNG, JPEG, TIFF, GeoTIFF | image column is x, row is z |
 //! | `stack`, `tiff_pages` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
 //! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
@@ -42,11 +45,15 @@ mod dem;
 mod dicom;
 mod heightmap;
 mod heights;
+mod measure;
 mod mesh;
+mod meta_image;
+mod mrc;
 mod nifti;
 mod npy;
 mod nrrd;
 mod pixels;
+mod place;
 mod ply;
 mod points;
 pub mod procedural;
@@ -55,8 +62,10 @@ mod stack;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY files name no pictures"))]
 mod texture;
 mod tiff_pages;
+mod values;
 mod volume;
 mod vox;
+mod vti;
 mod vxl;
 #[cfg(feature = "zarr")]
 mod zarr;
@@ -92,9 +101,12 @@ pub struct ReadOptions {
     /// Value type of a raw volume, little-endian [default: u8]
     #[arg(long, value_enum, value_name = "TYPE")]
     pub dtype: Option<Dtype>,
-    /// Voxels of at least this value are solid [default: above 0 for u8; needed for other types]
+    /// Voxels of at least this value are solid [default: raw and NPY: above 0 for u8, needed for other types; others: found from the values, and said]
     #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = number)]
     pub iso: Option<f64>,
+    /// Spacing of a volume's voxels: auto (as the file states it), as-is (voxels are cubes), or SX,SY,SZ [default: auto]
+    #[arg(long, value_name = "auto|as-is|SX,SY,SZ", value_parser = parse_spacing)]
+    pub spacing: Option<Spacing>,
     /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
@@ -118,8 +130,15 @@ pub enum Format {
     Npy,
     /// NRRD, attached or detached header
     Nrrd,
-    /// NIfTI-1, plain or gzip
+    /// NIfTI-1, NIfTI-2 or ANALYZE 7.5, one file or a pair, plain or gzip
     Nifti,
+    /// MetaImage, values in the same file or in others
+    #[value(name = "metaimage")]
+    MetaImage,
+    /// MRC or CCP4 map of density, plain or gzip
+    Mrc,
+    /// VTK image data in XML
+    Vti,
     /// PNG, JPEG, TIFF or GeoTIFF image of heights
     Heightmap,
     /// USGS ASCII digital elevation model
@@ -144,7 +163,7 @@ pub enum Format {
     Las,
 }
 
-const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz, height maps \
+const SUPPORTED: &str = "raw volumes (--dims X,Y,Z --dtype T), .npy, .nrrd/.nhdr, .nii/.nii.gz/.hdr/.img, .mha/.mhd, .mrc/.map/.ccp4, .vti, height maps \
     (.png, .jpg, .tif, .dem, .npy), stacks (.tif of several pages, folders of .tif, .png or .jpg), mosaics (folders of .tif), DICOM (.dcm, folders), Zarr (folders), meshes (.ply, .stl, .obj, .gltf, .glb), points (.las, .laz, .ply), .vxl (Voxlap, Ace of Spades), .vox (MagicaVoxel), procedural:KIND";
 
 /// Axis of an input that points up in the world.
@@ -157,6 +176,18 @@ pub enum Up {
     Y,
     /// Input (x, y, z) is world (x, z, Y−1−y)
     Z,
+}
+
+/// How far voxels of a volume are apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Spacing {
+    /// As the file states it; where it states nothing, or is a raw volume, voxels are cubes
+    #[default]
+    Auto,
+    /// Voxels are cubes
+    AsIs,
+    /// Along x, y, z of the input
+    Of([f64; 3]),
 }
 
 /// Type of a volume's values.
@@ -192,6 +223,20 @@ fn number(s: &str) -> Result<f64, String> {
 
 fn positive(s: &str) -> Result<f64, String> {
     number(s).ok().filter(|&v| v > 0.0 && v.is_finite()).ok_or_else(|| "expected a number above 0".to_owned())
+}
+
+fn parse_spacing(s: &str) -> Result<Spacing, String> {
+    match s.trim() {
+        "auto" => return Ok(Spacing::Auto),
+        "as-is" => return Ok(Spacing::AsIs),
+        _ => {}
+    }
+    let sides: Result<Vec<f64>, _> = s.split(',').map(positive).collect();
+    let sides: Option<[f64; 3]> = sides.ok().and_then(|sides| sides.try_into().ok());
+    let least = |s: &[f64; 3]| s.iter().copied().fold(f64::INFINITY, f64::min);
+    let fits = |s: &[f64; 3]| s.iter().all(|&v| v <= 1000.0 * least(s));
+    let expected = "expected auto, as-is, or three numbers above 0, none 1000 times another, as in 0.5,0.5,2";
+    sides.filter(fits).map(Spacing::Of).ok_or_else(|| expected.to_owned())
 }
 
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
@@ -382,14 +427,15 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
             notes.push(format!("{flag} is not used: {why}"));
         }
     };
-    let is_volume =
-        matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack | Format::Dicom);
+    let is_volume = matches!(format, Format::Raw | Format::Npy | Format::Nrrd | Format::Nifti | Format::Stack)
+        || matches!(format, Format::MetaImage | Format::Mrc | Format::Vti | Format::Dicom);
     let is_map = matches!(format, Format::Heightmap | Format::Dem | Format::Npy);
     let is_mesh = matches!(format, Format::Ply | Format::Stl | Format::Obj | Format::Gltf | Format::Las);
     unused("--up", opts.up.is_some() && !is_volume && !is_mesh, "the format has an up axis of its own");
     unused("--size", opts.size.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--voxel", opts.voxel.is_some() && !is_mesh, "it is for meshes and clouds of points");
     unused("--iso", opts.iso.is_some() && !is_volume, "the input has no values to compare it with");
+    unused("--spacing", opts.spacing.is_some() && !is_volume, "it is for volumes");
     unused("--dtype", opts.dtype.is_some() && format != Format::Raw, "the file states its type");
     unused("--dims", opts.dims.is_some() && format != Format::Raw, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
@@ -412,6 +458,9 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
         Format::Npy => return volume(npy::npy(path, bytes, opts)),
         Format::Nrrd => return volume(nrrd::read(path, bytes, opts)),
         Format::Nifti => return volume(nifti::read(path, bytes, opts)),
+        Format::MetaImage => return volume(meta_image::read(path, bytes, opts)),
+        Format::Mrc => return volume(mrc::read(path, bytes, opts)),
+        Format::Vti => return volume(vti::read(path, bytes, opts)),
         Format::Heightmap => {
             let mut map = heightmap::read(path, bytes, in_file, opts)?;
             map.notes.append(&mut notes);
@@ -476,9 +525,15 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
         return Err(Error::format(path, "OpenVDB is not read; write the grid as a dense NPY, NRRD or Zarr volume"));
     }
     let fail = |what: &str| Err(Error::format(path, what));
-    match name.rsplit('.').next().unwrap_or_default() {
+    if head.starts_with(b"# vtk DataFile") {
+        return fail("this is a file of VTK's older text format, which is not read; save it as .vti");
+    }
+    match name.strip_suffix(".gz").unwrap_or(&name).rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
         "dem" => Ok(Format::Dem),
+        "hdr" | "img" => Ok(Format::Nifti),
+        "mha" | "mhd" => Ok(Format::MetaImage),
+        "mrc" | "ccp4" | "mrcs" | "rec" => Ok(Format::Mrc),
         "npz" => fail("an archive of arrays; save one of them: numpy.save(\"a.npy\", numpy.load(\"a.npz\")[\"name\"])"),
         "stl" => Ok(Format::Stl),
         "obj" => Ok(Format::Obj),
@@ -525,7 +580,16 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     if head.get(128..132) == Some(b"DICM") {
         return Some(Format::Dicom);
     }
-    matches!(head.get(344..348), Some(b"n+1\0" | b"ni1\0")).then_some(Format::Nifti)
+    if meta_image::is_meta_image(head) {
+        return Some(Format::MetaImage);
+    }
+    if mrc::is_mrc(head) {
+        return Some(Format::Mrc);
+    }
+    if vti::is_vtk_xml(head) {
+        return Some(Format::Vti);
+    }
+    nifti::is_nifti(head).then_some(Format::Nifti)
 }
 
 /// A whole file in memory, mapped.

@@ -12,14 +12,18 @@
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use flate2::read::MultiGzDecoder;
 use rayon::prelude::*;
 
+use super::measure::{Meant, Measured, Paint, Solid};
+use super::place::{self, Along, Oriented, Place};
 use super::{Dtype, ReadOptions, Up, world_dims};
+use crate::about::Kind;
 use crate::pieces::Pieces;
 use crate::scratch::{self, File, read_at};
-use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
+use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run, exposure};
 
 /// A dense volume as a file holds it.
 pub(super) struct Stored<'a> {
@@ -163,7 +167,8 @@ pub(super) fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64>
 
 /// `--dims`, `--dtype`: values without a header.
 pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    Volume::new(path, raw_array(path, bytes, opts)?, opts)
+    let about = About::new(Kind::Volume, "raw volume");
+    Volume::new(path, Stored { about, ..raw_array(path, bytes, opts)? }, opts)
 }
 
 /// A volume of which `bytes` are no more than the head right, and whose values are in `object`; None where it is a height
@@ -227,11 +232,22 @@ pub(super) fn gunzip_prefix(path: &Path, bytes: &[u8], len: u64) -> Result<Vec<u
     Ok(out)
 }
 
-/// Bytes `start..end` of a gzip stream, unpacked into a file without a name; an inner error is the number of bytes that
-/// there are, too few. The stream's end and checksum are looked at where it holds no more than these.
+/// Bytes `start..end` of a gzip stream: see [`unpack`].
 pub(super) fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<Result<Data<'static>, u64>> {
+    unpack(path, "gzip stream", MultiGzDecoder::new(bytes), start, end)
+}
+
+/// Bytes `start..end` of a stream, unpacked into a file without a name; an inner error is the number of bytes that there
+/// are, too few. The stream's end and checksum are looked at where it holds no more than these.
+pub(super) fn unpack(
+    path: &Path,
+    what: &str,
+    stream: impl Read,
+    start: u64,
+    end: u64,
+) -> Result<Result<Data<'static>, u64>> {
     let mut file = scratch::file().map_err(|e| Error::io(std::env::temp_dir(), "create a file in", e))?;
-    let mut stream = MultiGzDecoder::new(bytes).take(end.saturating_add(1));
+    let mut stream = stream.take(end.saturating_add(1));
     let mut buffer = vec![0; 1 << 20];
     let mut n = 0u64;
     loop {
@@ -239,7 +255,7 @@ pub(super) fn gunzip(path: &Path, bytes: &[u8], start: u64, end: u64) -> Result<
             Ok(0) => break,
             Ok(got) => got,
             Err(e) if e.kind() == std::io::ErrorKind::Interrupted => continue,
-            Err(e) => return Err(Error::format(path, format!("gzip stream, after {n} bytes: {e}"))),
+            Err(e) => return Err(Error::format(path, format!("{what}, after {n} bytes: {e}"))),
         };
         file.write_all(&buffer[..got]).map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e))?;
         n += got as u64;
@@ -310,62 +326,218 @@ float_samples!(f32, f64);
 /// Turns a row of stored values into bits, 1 where solid: bit `i % 64` of word `i / 64`.
 type Masks = Box<dyn Fn(&[u8], &mut [u64]) + Send + Sync>;
 
+/// Appends what stored values mean.
+type Decode = Box<dyn Fn(&[u8], &mut Vec<f64>) + Send + Sync>;
+
+/// What a header says of a volume beside what is said of it ([`Stored::about`]).
+#[derive(Debug, Default)]
+pub(super) struct Facts {
+    pub place: Option<Place>,
+    /// The file's axis that is x, y, z of the input, where that is another order.
+    pub order: Option<[usize; 3]>,
+    /// Whether a sample of the values says what is solid, and gives colours ([`super::measure`]). Else bytes are solid above
+    /// 0, and other values need `--iso`.
+    pub measured: bool,
+    pub labels: bool,
+    pub density: bool,
+}
+
 /// A volume whose columns can be made.
 pub(super) struct Volume<'a> {
     /// Values along the file's axes, fastest first.
     stored: [u64; 3],
+    /// Voxels of the world along the same axes.
+    along: [Along; 3],
+    between: Between,
     size: u64,
     data: Data<'a>,
     masks: Masks,
+    decode: Decode,
+    /// Which values are solid, where they are not as stored.
+    solid: Solid,
+    paint: Paint,
     dims: [u32; 3],
     /// The file's axis of world x, y, z.
     axes: [usize; 3],
-    /// Whether world z runs against its axis.
-    flip_z: bool,
+    /// Whether the world's axis runs against the file's.
+    flips: [bool; 3],
     pub(super) notes: Vec<String>,
     pub(super) about: About,
+}
+
+/// What stands between values of the file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Between {
+    /// Nothing: a voxel is a value.
+    Nothing,
+    /// The nearest.
+    Nearest,
+    /// What lies on straight lines between them.
+    Linear,
+}
+
+/// A row of values.
+#[derive(Clone, Copy)]
+enum Row<'a> {
+    Stored(&'a [u8]),
+    /// As they are meant.
+    Meant(&'a [f64]),
+}
+
+/// What reading rows needs to remember.
+#[derive(Default)]
+struct Buffers {
+    bytes: Vec<u8>,
+    gathered: Vec<u8>,
+    /// Rows of the file that values were found between, with their numbers.
+    lines: [(u64, Vec<f64>); 2],
+    other: Vec<f64>,
+    mixed: Vec<f64>,
+    row: Vec<f64>,
 }
 
 impl<'a> Volume<'a> {
     /// Which axis is up, and where a value is solid, from the options.
     pub(super) fn new(path: &Path, stored: Stored<'a>, opts: &ReadOptions) -> Result<Volume<'a>> {
-        // World x, y, z as axes of the input.
-        let (axes, flip_z) = match opts.up.unwrap_or_default() {
-            Up::X => ([2, 0, 1], false),
-            Up::Y => ([0, 1, 2], false),
-            Up::Z => ([0, 2, 1], true),
-        };
-        let dims = world_dims(path, axes.map(|a| stored.dims[a]), "--up chooses another axis")?;
-        let Stored { dtype, big_endian, scale, .. } = stored;
-        let mut stored = stored;
+        Volume::with(path, stored, Facts::default(), opts)
+    }
+
+    /// The same, as far as the header does not say it.
+    pub(super) fn with(path: &Path, stored: Stored<'a>, facts: Facts, opts: &ReadOptions) -> Result<Volume<'a>> {
+        if opts.iso.is_some_and(f64::is_nan) {
+            return Err(Error::Argument("--iso is not a number".to_owned()));
+        }
+        let Stored { dims: [x, y, z], z_fastest, dtype, big_endian, scale, missing, data, notes, about: said } = stored;
         // In the precision of the values, as in text it has more digits or fewer.
-        let missing = stored.missing.map(|v| if dtype == Dtype::F32 { f64::from(v as f32) } else { v });
-        stored.missing = missing;
-        let masks = match opts.iso {
-            Some(iso) if iso.is_nan() => return Err(Error::Argument("--iso is not a number".to_owned())),
-            Some(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
-            None if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => masks(u8::from_le_bytes, |v| v > 0),
-            // The least number above 0.
-            None if dtype == Dtype::U8 => iso_masks(u8::from_le_bytes, f64::from_bits(1), scale, missing),
-            None => {
-                let (low, high) = with_sample!(dtype, big_endian, |read| range(&stored, read))?;
-                return Err(Error::Argument(format!(
-                    "{}: values range from {low} to {high}; give --iso V, voxels of at least V are solid",
-                    path.display()
-                )));
+        let missing = missing.map(|v| if dtype == Dtype::F32 { f64::from(v as f32) } else { v });
+        let (stored, order) = if z_fastest { ([z, y, x], [2, 1, 0]) } else { ([x, y, z], [0, 1, 2]) };
+        let order = facts.order.unwrap_or(order);
+        let Facts { mut place, measured, labels, density, .. } = facts;
+        let mut left_out = said.left_out.clone();
+        if let Some(sides) = said.voxel.filter(|_| place.is_none()) {
+            let mut spacing = [0.0; 3];
+            (0..3).for_each(|k| spacing[order[k]] = sides[k]);
+            match Place::spaced(spacing, [0.0; 3]).checked() {
+                Ok(spaced) => place = Some(spaced),
+                Err(what) => left_out.push(what),
+            }
+        }
+        // Who says how large voxels are has pictured something.
+        let measured = measured || said.voxel.is_some();
+
+        // World x, y, z as axes of the file.
+        let (axes, flips, words) = match (opts.up, &place) {
+            (None, Some(place)) if !place.stated.is_empty() => {
+                let Oriented { axes, flips, words } = place.orient();
+                (axes, flips, words)
+            }
+            (up, place) => {
+                let (axes, flip_z, words) = match up.unwrap_or_default() {
+                    Up::X => ([2, 0, 1], false, "axis x is up"),
+                    Up::Y => ([0, 1, 2], false, "axis y is up"),
+                    Up::Z => ([0, 2, 1], true, "axis z is up"),
+                };
+                if let Some(place) = place.as_ref().filter(|p| p.anatomy) {
+                    let mirror = if place.mirrored() { ", a mirror image" } else { "" };
+                    left_out.push(format!(
+                        "the orientation by its {}, {}: --up was given{mirror}",
+                        place.stated,
+                        place.letters()
+                    ));
+                }
+                let words = match said.axes.as_str() {
+                    "" => words.to_owned(),
+                    of => format!("{of}, {}", words.trim_start_matches("axis ")),
+                };
+                (axes.map(|a| order[a]), [false, false, flip_z], words)
             }
         };
-        let about = about_volume(&stored, axes, opts);
-        let Stored { dims: [x, y, z], z_fastest, data, notes, .. } = stored;
-        let (stored, axes) = if z_fastest { ([z, y, x], axes.map(|a| 2 - a)) } else { ([x, y, z], axes) };
-        Ok(Volume { stored, size: dtype.size(), data, masks, dims, axes, flip_z, notes, about })
+
+        let stated = place.as_ref().map(Place::spacing);
+        let spacing = place::spacing(stated, opts.spacing, order);
+        let along = spacing.map_or_else(|| stored.map(Along::as_stored), |spacing| place::cubes(stored, spacing));
+        let hint = if along.iter().all(Along::is_as_stored) {
+            "--up chooses another axis"
+        } else {
+            "--spacing as-is draws voxels as cubes"
+        };
+        let dims = world_dims(path, axes.map(|a| along[a].n), hint)?;
+
+        let size = dtype.size();
+        let decode: Decode = with_sample!(dtype, big_endian, |read| decoder(read, scale, missing));
+        let (solid, paint, rule, values) = if measured {
+            let found = Measured::of(&data, size, &*decode)?;
+            let is_float = matches!(dtype, Dtype::F32 | Dtype::F64);
+            let zero = !is_float && scale.is_some_and(|(_, inter)| size == 1 || inter != 0.0);
+            let meant = Meant { labels, scaled: scale.is_some(), zero, bytes: size == 1, density };
+            let (solid, paint, rule) = found.rule(opts.iso, &meant);
+            (solid, paint, rule, found.range())
+        } else {
+            match opts.iso {
+                Some(iso) => (Solid::AtLeast(iso), Paint::None, format!("solid where at least {iso}"), None),
+                None if dtype == Dtype::U8 && scale.is_none() => {
+                    (Solid::NotZero, Paint::None, "solid above 0".to_owned(), None)
+                }
+                None if dtype == Dtype::U8 => (Solid::ABOVE_0, Paint::None, "solid above 0".to_owned(), None),
+                None => {
+                    let (low, high) = with_sample!(dtype, big_endian, |read| range(&data, scale, missing, read))?;
+                    return Err(Error::Argument(format!(
+                        "{}: values range from {low} to {high}; give --iso V, voxels of at least V are solid",
+                        path.display()
+                    )));
+                }
+            }
+        };
+        let masks = match solid {
+            Solid::AtLeast(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
+            Solid::NotZero if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => {
+                masks(u8::from_le_bytes, |v| v > 0)
+            }
+            Solid::NotZero => with_sample!(dtype, big_endian, |read| {
+                masks(read, move |v| {
+                    let v = v.to_f64();
+                    Some(v) != missing && Solid::NotZero.holds(meaning(v, scale))
+                })
+            }),
+        };
+        let between = match (along.iter().all(Along::is_as_stored), solid) {
+            (true, _) => Between::Nothing,
+            (false, Solid::NotZero) => Between::Nearest,
+            (false, Solid::AtLeast(_)) => Between::Linear,
+        };
+
+        let mut about = said;
+        if !about.format.is_empty() {
+            about.kind = Some(if paint == Paint::Labels { Kind::Labels } else { Kind::Volume });
+            about.rule = if about.rule.is_empty() { rule } else { format!("{}; {rule}", about.rule) };
+            (about.axes, about.values, about.left_out) = (words, values, left_out);
+            let known = spacing.or(stated);
+            let sides = known.unwrap_or([1.0; 3]);
+            about.voxel = known.map(|sides| axes.map(|f| sides[f] * along[f].step()));
+            let unit = if about.unit.is_empty() { "units" } else { &about.unit };
+            if between != Between::Nothing {
+                let [x, y, z] = stored;
+                let [a, b, c] = sides;
+                let how = if between == Between::Nearest { "the nearest" } else { "linearly" };
+                about.axes.push_str(&format!(
+                    "; {x} × {y} × {z} voxels of {a} × {b} × {c} {unit} become cubes, taken {how} (--spacing as-is: they are drawn as cubes)"
+                ));
+            } else if spacing.is_none() && known.is_some() && place::cubes(stored, sides) != along {
+                let [a, b, c] = axes.map(|f| sides[f]);
+                about.left_out.push(format!("voxels of {a} × {b} × {c} {unit} are drawn as cubes (--spacing as-is)"));
+            }
+            about.affine = place.as_ref().map(|place| affine(place, &along, axes, flips)).or(about.affine);
+        }
+        Ok(Volume { stored, along, between, size, data, masks, decode, solid, paint, dims, axes, flips, notes, about })
     }
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
     pub(super) fn in_file(self, path: &Path, whole: &[u8]) -> Result<Volume<'static>> {
-        let Volume { stored, size, data, masks, dims, axes, flip_z, notes, about } = self;
-        let data = data.in_file(path, whole)?;
-        Ok(Volume { stored, size, data, masks, dims, axes, flip_z, notes, about })
+        let data = self.data.in_file(path, whole)?;
+        let Volume {
+            stored, along, between, size, masks, decode, solid, paint, dims, axes, flips, notes, about, ..
+        } = self;
+        Ok(Volume { stored, along, between, size, data, masks, decode, solid, paint, dims, axes, flips, notes, about })
     }
 
     /// Values `us` of row `v` of slice `w`, in the file's order.
@@ -375,14 +547,30 @@ impl<'a> Volume<'a> {
         self.data.read(at, ((us.end - us.start) * self.size) as usize, buffer)
     }
 
-    /// Calls `each` with values `us` of the rows `vs` of slice `w`, in stretches that fit a core's cache.
+    /// Calls `each` with voxels `us` of the rows `vs` of slice `w` along the file's axes.
     fn rows(
         &self,
         us: Range<u64>,
         vs: Range<u64>,
         w: u64,
+        buffers: &mut Buffers,
+        each: impl FnMut(u64, Row),
+    ) -> Result<()> {
+        match self.between {
+            Between::Nothing => self.stored_rows(us, vs, w, &mut buffers.bytes, each),
+            Between::Nearest => self.nearest_rows(us, vs, w, buffers, each),
+            Between::Linear => self.linear_rows(us, vs, w, buffers, each),
+        }
+    }
+
+    /// The same of values as they are stored, in stretches that fit a core's cache.
+    fn stored_rows(
+        &self,
+        us: Range<u64>,
+        vs: Range<u64>,
+        w: u64,
         buffer: &mut Vec<u8>,
-        mut each: impl FnMut(u64, &[u8]),
+        mut each: impl FnMut(u64, Row),
     ) -> Result<()> {
         let [nu, ..] = self.stored;
         let n = us.end - us.start;
@@ -394,11 +582,225 @@ impl<'a> Volume<'a> {
             // Rows follow each other in the file, with what lies between their parts.
             let bytes = self.row(us.start..us.start + nu * (end - v - 1) + n, v, w, buffer)?;
             for (i, row) in bytes.chunks((nu * self.size) as usize).enumerate() {
-                each(v + i as u64, &row[..(n * self.size) as usize]);
+                each(v + i as u64, Row::Stored(&row[..(n * self.size) as usize]));
             }
             v = end;
         }
         Ok(())
+    }
+
+    /// The same of the nearest values.
+    fn nearest_rows(
+        &self,
+        us: Range<u64>,
+        vs: Range<u64>,
+        w: u64,
+        buffers: &mut Buffers,
+        mut each: impl FnMut(u64, Row),
+    ) -> Result<()> {
+        let [u_axis, v_axis, w_axis] = self.along;
+        let from = u_axis.nearest(us.start);
+        let end = u_axis.nearest(us.end - 1) + 1;
+        let (w, size) = (w_axis.nearest(w), self.size as usize);
+        let Buffers { bytes, gathered, .. } = buffers;
+        let mut last = None;
+        for v in vs {
+            let of = v_axis.nearest(v);
+            if last != Some(of) {
+                let row = self.row(from..end, of, w, bytes)?;
+                gathered.clear();
+                for u in us.clone() {
+                    let at = (u_axis.nearest(u) - from) as usize * size;
+                    gathered.extend_from_slice(&row[at..at + size]);
+                }
+                last = Some(of);
+            }
+            each(v, Row::Stored(gathered));
+        }
+        Ok(())
+    }
+
+    /// The same of what lies on straight lines between values along each axis, one after the other.
+    fn linear_rows(
+        &self,
+        us: Range<u64>,
+        vs: Range<u64>,
+        w: u64,
+        buffers: &mut Buffers,
+        mut each: impl FnMut(u64, Row),
+    ) -> Result<()> {
+        let [u_axis, v_axis, w_axis] = self.along;
+        let (from, end) = (u_axis.between(us.start).0, u_axis.between(us.end - 1).1 + 1);
+        let (w0, w1, w_part) = w_axis.between(w);
+        let Buffers { bytes, lines, other, mixed, row, .. } = buffers;
+        lines.iter_mut().for_each(|(v, _)| *v = u64::MAX);
+        let mut load = |v: u64, out: &mut Vec<f64>| -> Result<()> {
+            out.clear();
+            (self.decode)(self.row(from..end, v, w0, bytes)?, out);
+            if w_part > 0.0 {
+                other.clear();
+                (self.decode)(self.row(from..end, v, w1, bytes)?, other);
+                out.iter_mut().zip(&*other).for_each(|(a, b)| *a = mix(*a, *b, w_part));
+            }
+            Ok(())
+        };
+        for v in vs {
+            let (v0, v1, v_part) = v_axis.between(v);
+            // The line that both need is kept.
+            if lines[0].0 != v0 {
+                lines.swap(0, 1);
+            }
+            if lines[0].0 != v0 {
+                load(v0, &mut lines[0].1)?;
+                lines[0].0 = v0;
+            }
+            let line = if v_part > 0.0 {
+                if lines[1].0 != v1 {
+                    load(v1, &mut lines[1].1)?;
+                    lines[1].0 = v1;
+                }
+                mixed.clear();
+                mixed.extend(lines[0].1.iter().zip(&lines[1].1).map(|(a, b)| mix(*a, *b, v_part)));
+                &*mixed
+            } else {
+                &lines[0].1
+            };
+            if u_axis.is_as_stored() {
+                // The last voxel has one after it, which nobody asked for.
+                each(v, Row::Meant(&line[..(us.end - us.start) as usize]));
+                continue;
+            }
+            row.clear();
+            row.extend(us.clone().map(|u| {
+                let (u0, u1, u_part) = u_axis.between(u);
+                mix(line[(u0 - from) as usize], line[(u1 - from) as usize], u_part)
+            }));
+            each(v, Row::Meant(row));
+        }
+        Ok(())
+    }
+
+    /// Sets the bits of voxels that are solid.
+    fn mask(&self, row: Row, bits: &mut [u64]) {
+        match row {
+            Row::Stored(bytes) => (self.masks)(bytes, bits),
+            Row::Meant(values) => {
+                for (bits, values) in bits.iter_mut().zip(values.chunks(64)) {
+                    let solid = values.iter().enumerate().map(|(i, &v)| u64::from(self.solid.holds(v)) << i);
+                    *bits = solid.fold(0, |a, b| a | b);
+                }
+            }
+        }
+    }
+
+    /// What voxel `i` of a row means.
+    fn value(&self, row: Row, i: usize, one: &mut Vec<f64>) -> f64 {
+        match row {
+            Row::Meant(values) => values[i],
+            Row::Stored(bytes) => {
+                let size = self.size as usize;
+                one.clear();
+                (self.decode)(&bytes[i * size..(i + 1) * size], one);
+                one[0]
+            }
+        }
+    }
+
+    /// Colours of those voxels of a piece that may be seen: rows are read once more, what lies inside costs nothing.
+    fn colors(&self, xs: Range<u32>, zs: Range<u32>, columns: &Columns) -> Result<Colors> {
+        let seen = exposure::exposed(columns);
+        let [nx, ny, nz] = columns.dims();
+        let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
+        let mut ys: Vec<u16> = Vec::new();
+        offsets.push(0u32);
+        for ix in 0..nx as usize * nz as usize {
+            ys.extend(seen.runs()[seen.range(ix)].iter().flat_map(|run| run.first()..=run.last()));
+            let end = u32::try_from(ys.len())
+                .map_err(|_| Error::Limit("more coloured voxels than a piece holds".to_owned()))?;
+            offsets.push(end);
+        }
+        // Threads meet in no voxel; that the compiler cannot know.
+        let found: Vec<AtomicU32> = ys.iter().map(|_| AtomicU32::new(0)).collect();
+        let put = |at: usize, value: f64| {
+            let [r, g, b] = self.paint.color(value);
+            found[at].store(u32::from_le_bytes([r, g, b, 0]), Ordering::Relaxed);
+        };
+        let [x_axis, y_axis, z_axis] = self.axes;
+        let range = |k: usize, of: &Range<u32>| {
+            let n = self.along[self.axes[k]].n;
+            let (start, end) = (u64::from(of.start), u64::from(of.end));
+            if self.flips[k] { n - end..n - start } else { start..end }
+        };
+        let ranges = {
+            let mut ranges = [0..0, 0..0, 0..0];
+            ranges[x_axis] = range(0, &xs);
+            ranges[y_axis] = 0..u64::from(ny);
+            ranges[z_axis] = range(2, &zs);
+            ranges
+        };
+        let [us, vs, ws] = ranges;
+        // From places along the file's axes to the piece's.
+        let start = [us.start, vs.start, ws.start];
+        let world = |k: usize, place: [u64; 3]| {
+            let i = (place[self.axes[k]] - start[self.axes[k]]) as u32;
+            let n = [nx, ny, nz][k];
+            if self.flips[k] { n - 1 - i } else { i }
+        };
+        let column = |place: [u64; 3]| world(2, place) as usize * nx as usize + world(0, place) as usize;
+        let count = |ix: usize| (offsets[ix + 1] - offsets[ix]) as usize;
+        // The `done`-th voxel that the file comes to in a column.
+        let next = |ix: usize, done: u32| match self.flips[1] {
+            false => (offsets[ix] + done) as usize,
+            true => (offsets[ix + 1] - 1 - done) as usize,
+        };
+        let read = |us: Range<u64>, vs: Range<u64>, ws: Range<u64>| -> Result<()> {
+            let (mut buffers, mut one) = (Buffers::default(), Vec::new());
+            let width = (us.end - us.start) as usize;
+            let lines = if y_axis == 1 { 1 } else { (vs.end - vs.start) as usize };
+            let mut done = vec![0u32; width * lines];
+            for w in ws {
+                let first = vs.start;
+                self.rows(us.clone(), vs.clone(), w, &mut buffers, |v, row| {
+                    if y_axis == 0 {
+                        let ix = column([us.start, v, w]);
+                        for at in offsets[ix] as usize..offsets[ix + 1] as usize {
+                            let y = u32::from(ys[at]);
+                            let u = if self.flips[1] { ny - 1 - y } else { y };
+                            put(at, self.value(row, u as usize, &mut one));
+                        }
+                        return;
+                    }
+                    let y = world(1, [us.start, v, w]) as u16;
+                    let line = if y_axis == 1 { 0 } else { (v - first) as usize * width };
+                    for (i, done) in done[line..line + width].iter_mut().enumerate() {
+                        let ix = column([us.start + i as u64, v, w]);
+                        if (*done as usize) < count(ix) {
+                            let at = next(ix, *done);
+                            if ys[at] == y {
+                                put(at, self.value(row, i, &mut one));
+                                *done += 1;
+                            }
+                        }
+                    }
+                })?;
+            }
+            Ok(())
+        };
+        // Columns are never parted: of slices that are layers, rows are.
+        match y_axis {
+            2 => {
+                let band = (vs.end - vs.start).div_ceil(rayon::current_num_threads() as u64 * 2).max(1);
+                let bands: Vec<u64> = (vs.start..vs.end).step_by(band as usize).collect();
+                bands.into_par_iter().try_for_each(|v| read(us.clone(), v..vs.end.min(v + band), ws.clone()))?;
+            }
+            _ => ws.into_par_iter().try_for_each(|w| read(us.clone(), vs.clone(), w..w + 1))?,
+        }
+        let entries = ys.iter().zip(&found).map(|(&y, found)| {
+            let [r, g, b, _] = found.load(Ordering::Relaxed).to_le_bytes();
+            (y, [r, g, b])
+        });
+        let entries = entries.collect();
+        Ok(Colors::Voxel { offsets, entries })
     }
 
     /// Columns `us × vs`, axes of the file other than the up axis, the faster first.
@@ -414,9 +816,9 @@ impl<'a> Volume<'a> {
                     .map(|w| {
                         let mut out = ColumnsBuilder::new(nu, ny, 1);
                         let mut bits = vec![0u64; (ny as usize).div_ceil(64)];
-                        let mut buffer = Vec::new();
-                        self.rows(0..self.stored[0], us.clone(), w, &mut buffer, |_, row| {
-                            (self.masks)(row, &mut bits);
+                        let mut buffer = Buffers::default();
+                        self.rows(0..self.along[0].n, us.clone(), w, &mut buffer, |_, row| {
+                            self.mask(row, &mut bits);
                             push_bits(&bits, ny, &mut out);
                             out.end_column();
                         })?;
@@ -432,9 +834,9 @@ impl<'a> Volume<'a> {
                     .map(|w| {
                         let mut layers = Layers::new(nu, 1);
                         let mut bits = vec![0u64; words];
-                        let mut buffer = Vec::new();
+                        let mut buffer = Buffers::default();
                         self.rows(us.clone(), 0..u64::from(ny), w, &mut buffer, |y, row| {
-                            (self.masks)(row, &mut bits);
+                            self.mask(row, &mut bits);
                             layers.row(y as u32, 0, &bits);
                         })?;
                         Ok(layers.finish(ny, ny))
@@ -451,10 +853,10 @@ impl<'a> Volume<'a> {
                     .map(|slab| {
                         let mut layers = Layers::new(nu, nv);
                         let mut bits = vec![0u64; words];
-                        let mut buffer = Vec::new();
+                        let mut buffer = Buffers::default();
                         for y in cut(slab)..cut(slab + 1) {
                             self.rows(us.clone(), vs.clone(), y.into(), &mut buffer, |v, row| {
-                                (self.masks)(row, &mut bits);
+                                self.mask(row, &mut bits);
                                 layers.row(y, (v - vs.start) as u32, &bits);
                             })?;
                         }
@@ -486,7 +888,7 @@ impl Pieces for Volume<'_> {
     }
 
     fn colored(&self) -> bool {
-        false
+        self.paint != Paint::None
     }
 
     fn notes(&self) -> &[String] {
@@ -498,26 +900,39 @@ impl Pieces for Volume<'_> {
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
-        let range = |r: &Range<u32>| u64::from(r.start)..u64::from(r.end);
-        let nz = self.dims[2];
-        let file_zs = if self.flip_z { nz - zs.end..nz - zs.start } else { zs.clone() };
+        let [nx, ny, nz] = self.dims;
+        let range = |of: &Range<u32>, n: u32, flip: bool| {
+            let of = if flip { n - of.end..n - of.start } else { of.clone() };
+            u64::from(of.start)..u64::from(of.end)
+        };
+        let [flip_x, flip_y, flip_z] = self.flips;
+        let (file_xs, file_zs) = (range(&xs, nx, flip_x), range(&zs, nz, flip_z));
         let x_is_faster = self.axes[0] < self.axes[2];
-        let columns =
-            if x_is_faster { self.scan(range(&xs), range(&file_zs)) } else { self.scan(range(&file_zs), range(&xs)) }?;
-        let columns = if x_is_faster && !self.flip_z {
+        let columns = if x_is_faster { self.scan(file_xs, file_zs) } else { self.scan(file_zs, file_xs) }?;
+        let columns = if x_is_faster && self.flips == [false; 3] {
             columns
         } else {
-            Columns::try_from_rows([xs.len() as u32, self.dims[1], zs.len() as u32], |z, out| {
-                let z = if self.flip_z { zs.len() as u32 - 1 - z } else { z };
+            Columns::try_from_rows([xs.len() as u32, ny, zs.len() as u32], |z, out| {
+                let z = if flip_z { zs.len() as u32 - 1 - z } else { z };
                 for x in 0..xs.len() as u32 {
+                    let x = if flip_x { xs.len() as u32 - 1 - x } else { x };
                     let column = if x_is_faster { columns.column(x, z) } else { columns.column(z, x) };
-                    column.iter().for_each(|&run| out.push_run(run));
+                    if flip_y {
+                        let turned = |y: u16| (ny - 1 - u32::from(y)) as u16;
+                        column
+                            .iter()
+                            .rev()
+                            .for_each(|run| out.push_run(Run::new(turned(run.last()), turned(run.first()))));
+                    } else {
+                        column.iter().for_each(|&run| out.push_run(run));
+                    }
                     out.end_column();
                 }
                 Ok(())
             })?
         };
-        Ok(Input { columns, colors: Colors::None, notes: Vec::new() })
+        let colors = if self.colored() { self.colors(xs, zs, &columns)? } else { Colors::None };
+        Ok(Input { columns, colors, notes: Vec::new() })
     }
 
     fn input_bytes(&self) -> u64 {
@@ -587,43 +1002,52 @@ fn iso_masks<T: Sample + Send + Sync + 'static, const N: usize>(
     }
 }
 
-/// What a volume is, with its axes turned to the world's, and why voxels are solid.
-fn about_volume(stored: &Stored, axes: [usize; 3], opts: &ReadOptions) -> About {
-    let mut about = stored.about.clone();
-    if about.format.is_empty() {
-        return about;
+/// [`Decode`] of values that `read` makes of bytes.
+fn decoder<T: Sample + 'static, const N: usize>(
+    read: impl Fn([u8; N]) -> T + Send + Sync + 'static,
+    scale: Option<(f64, f64)>,
+    missing: Option<f64>,
+) -> Decode {
+    let of = move |v: f64| if Some(v) == missing { f64::NAN } else { meaning(v, scale) };
+    Box::new(move |bytes, out| out.extend(bytes.as_chunks::<N>().0.iter().map(|&b| of(read(b).to_f64()))))
+}
+
+/// What lies between `a` and `b`.
+fn mix(a: f64, b: f64, part: f64) -> f64 {
+    if part == 0.0 { a } else { a + (b - a) * part }
+}
+
+/// From places in the world, in voxels, to coordinates of the source.
+fn affine(place: &Place, along: &[Along; 3], axes: [usize; 3], flips: [bool; 3]) -> [[f64; 4]; 3] {
+    let mut rows = [0, 1, 2].map(|c| [0.0, 0.0, 0.0, place.origin[c]]);
+    for (k, (f, flip)) in axes.into_iter().zip(flips).enumerate() {
+        let step = along[f].step();
+        let first = if flip { along[f].n as f64 * step } else { 0.0 } - 0.5;
+        for (c, row) in rows.iter_mut().enumerate() {
+            row[k] = place.steps[f][c] * if flip { -step } else { step };
+            row[3] += place.steps[f][c] * first;
+        }
     }
-    about.voxel = about.voxel.map(|v| axes.map(|a| v[a]));
-    if let Some(sides) = about.voxel.filter(|v| v[0] != v[1] || v[1] != v[2]) {
-        let [x, y, z] = sides.map(|v| format!("{v:.5e}").parse().unwrap_or(v));
-        let unit = if about.unit.is_empty() { "units" } else { &about.unit };
-        about.left_out.push(format!("voxels of {x} × {y} × {z} {unit} are drawn as cubes"));
-    }
-    let up = ["x", "y", "z"][axes[1]];
-    about.axes = match about.axes.as_str() {
-        "" => format!("axis {up} is up"),
-        of => format!("{of}, {up} is up"),
-    };
-    let solid = match opts.iso {
-        Some(iso) => format!("solid where at least {iso}"),
-        None => "solid above 0".to_owned(),
-    };
-    about.rule = if about.rule.is_empty() { solid } else { format!("{}; {solid}", about.rule) };
-    about
+    rows
 }
 
 /// Least and greatest value (NaN left out).
-fn range<T: Sample, const N: usize>(stored: &Stored, read: impl Fn([u8; N]) -> T + Sync) -> Result<(f64, f64)> {
+fn range<T: Sample, const N: usize>(
+    data: &Data,
+    scale: Option<(f64, f64)>,
+    missing: Option<f64>,
+    read: impl Fn([u8; N]) -> T + Sync,
+) -> Result<(f64, f64)> {
     const NONE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
     let piece = (N as u64) << 16;
-    let len = stored.data.len();
-    let (slope, inter) = stored.scale.unwrap_or((1.0, 0.0));
-    let missing = stored.missing.unwrap_or(f64::NAN);
+    let len = data.len();
+    let (slope, inter) = scale.unwrap_or((1.0, 0.0));
+    let missing = missing.unwrap_or(f64::NAN);
     let (a, b) = (0..len.div_ceil(piece))
         .into_par_iter()
         .map(|i| {
             let mut buffer = Vec::new();
-            let bytes = stored.data.read(i * piece, (len - i * piece).min(piece) as usize, &mut buffer)?;
+            let bytes = data.read(i * piece, (len - i * piece).min(piece) as usize, &mut buffer)?;
             let (values, _) = bytes.as_chunks::<N>();
             Ok(values.iter().fold(NONE, |(low, high), &v| {
                 let v = read(v).to_f64();

@@ -122,7 +122,8 @@ fn folder(slices: &[Slice]) -> tempfile::TempDir {
 }
 
 fn read(path: &Path, flags: &str) -> (Input, About) {
-    let pieces = open_pieces(path, &opts(flags)).unwrap();
+    // As they are stored: where a patient's head is, tests of other formats ask.
+    let pieces = open_pieces(path, &opts(&format!("{flags} --up y --spacing as-is"))).unwrap();
     (crate::pieces::whole(&*pieces).unwrap(), pieces.about())
 }
 
@@ -302,6 +303,26 @@ fn what_cannot_be_read_is_named_and_damage_is_a_plain_error() {
             let mut bytes = good.clone();
             bytes[at] = new;
             go(&bytes);
+        }
+    }
+}
+
+#[test]
+fn a_series_stands_on_its_feet_in_cubes() {
+    let slices: Vec<Slice> = (0..3).map(|z| Slice::at(1.5 * z as f64, slice(z))).collect();
+    let dir = folder(&slices);
+    let pieces = open_pieces(dir.path(), &opts("--iso 11")).unwrap();
+    // Columns run to the left, rows to the back, slices to the head; sides of 0.25, 0.5, 1.5 become cubes.
+    assert_eq!(pieces.dims(), [W as u32, 3 * 6, H as u32 * 2]);
+    let about = pieces.about();
+    assert!(about.axes.contains("ImageOrientationPatient (stored as LPS)"), "{about}");
+    assert_eq!(about.voxel, Some([0.25; 3]));
+    let flat = open_pieces(dir.path(), &opts("--iso 11 --spacing as-is")).unwrap();
+    let input = crate::pieces::whole(&*flat).unwrap();
+    for (i, (x, z)) in (0..W * H).map(|i| (i, (i % W, i / W))) {
+        for y in 0..3 {
+            let found = input.columns.solid((W - 1 - x) as i64, y as i64, z as i64);
+            assert_eq!(found, slice(y)[i] >= 11, "{x} {y} {z}");
         }
     }
 }

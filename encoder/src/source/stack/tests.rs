@@ -125,6 +125,8 @@ fn tiff(big: bool, dirs: &[Dir], after: &[u8]) -> Vec<u8> {
 
 /// What is said of a file beside its voxels.
 fn about(bytes: &[u8], flags: &str) -> crate::About {
+    // Voxels as they are stored.
+    let flags = &format!("{flags} --spacing as-is");
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.tif");
     fs::write(&path, bytes).unwrap();
