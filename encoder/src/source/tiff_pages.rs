@@ -601,7 +601,7 @@ impl Page {
             }
             7 => return self.jpeg(stored, expected).map(|v| (v, true)),
             8 | 32_946 => {
-                drop(flate2::read::ZlibDecoder::new(stored).take(expected as u64).read_to_end(&mut out).map_err(text)?)
+                flate2::read::ZlibDecoder::new(stored).take(expected as u64).read_to_end(&mut out).map_err(text)?;
             }
             32_773 => pack_bits(stored, expected, &mut out),
             3 | 4 => self.fax(stored, rows, &mut out)?,
