@@ -424,7 +424,7 @@ fn heightmap_colours_are_those_of_the_nearest_pixel() {
 }
 
 /// Heights of a file in voxels, and what is said of it.
-pub(super) fn told(name: &str, bytes: &[u8], flags: &str) -> (Vec<Option<u16>>, crate::About) {
+pub(super) fn told(name: &str, bytes: &[u8], flags: &str) -> (Vec<Option<u16>>, About) {
     let File(_folder, path) = file(name, bytes);
     let world = open_pieces(&path, &opts(flags)).unwrap();
     let input = pieces::whole(&*world).unwrap();
