@@ -159,7 +159,8 @@ pub(super) fn kv6(path: &Path, bytes: &[u8]) -> Result<InMemory> {
     }
     let mut about = about("Voxlap kv6");
     let rest = &bytes[end..];
-    if !rest.is_empty() && !(rest.starts_with(b"SPal") && rest.len() == 4 + PALETTE) {
+    let suggested = rest.starts_with(b"SPal") && rest.len() == 4 + PALETTE;
+    if !rest.is_empty() && !suggested {
         about.left_out.push(format!("{} bytes after the voxels", rest.len()));
     }
     Ok(model.finish(about))

@@ -201,6 +201,9 @@ fn unpack(packed: &[u8], len: usize) -> Option<Vec<u8>> {
     (out.len() == len).then_some(out)
 }
 
+/// Gives the value of a field of one point, as a number and as its bits.
+type Get<'a> = &'a dyn Fn(&Field) -> (f64, u32);
+
 /// Fields that a point is made of.
 struct Wanted<'a> {
     place: [&'a Field; 3],
@@ -293,7 +296,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Poin
         let class = wanted.class.map_or(0.0, |f| get(f).0) as u8;
         Point { at: wanted.place.map(|f| get(f).0), color, intensity, class }
     };
-    let each_value = |then: &mut dyn FnMut(&dyn Fn(&Field) -> (f64, u32)) -> Result<()>| -> Result<()> {
+    let each_value = |then: &mut dyn FnMut(Get<'_>) -> Result<()>| -> Result<()> {
         match header.form {
             Form::Binary => rest[..record * n as usize]
                 .chunks_exact(record.max(1))

@@ -278,9 +278,9 @@ impl Survey {
     }
 
     fn add(&mut self, at: [f64; 3], point: &Point) {
-        for axis in 0..3 {
-            self.low[axis] = self.low[axis].min(at[axis]);
-            self.high[axis] = self.high[axis].max(at[axis]);
+        for (axis, v) in at.into_iter().enumerate() {
+            self.low[axis] = self.low[axis].min(v);
+            self.high[axis] = self.high[axis].max(v);
         }
         self.brightest = self.brightest.max(point.color[0]).max(point.color[1]).max(point.color[2]);
         self.classes[usize::from(point.class)] += 1;

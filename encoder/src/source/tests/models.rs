@@ -353,7 +353,7 @@ fn gox_layers_are_shown_moved_or_left_out() {
     assert_eq!(told.left_out, ["the hidden layer \"b\"", "2 voxels of opacity below 127, which Goxel does not show"]);
     let turned = layer(&[], &[("name", b"t"), ("base_id", &one), ("mat", &mat(2.0, [0.0; 3]))]);
     assert!(about("m", &chunks(&[shown.clone(), turned]), "").left_out[0].contains("turned or scaled"));
-    refuses_every_prefix_but(4, "m.gox", &chunks(&[shown.clone()]), "");
+    refuses_every_prefix_but(4, "m.gox", &chunks(std::slice::from_ref(&shown)), "");
     survives_changed_bytes("m.gox", &chunks(&[shown]), "");
     assert!(error("m.gox", &chunks(&[layer(&[[7, 0, 0, 0]], &[])]), "").contains("shows block 7, the file has 2"));
     assert!(error("m.gox", &chunks(&[]), "").contains("no visible voxel"));
