@@ -203,16 +203,16 @@ fn imagej_hyperstacks_are_their_first_channel_and_time_in_the_order_stated() {
         tiff(true, &dirs, &[])
     };
     let bytes = file(&format!("{text}unit=\\u00B5m\nspacing=0.5\n"));
-    assert_slices(&read("a.tif", &bytes, "--format stack"), &[0, 2, 4]);
+    assert_slices(&read("a.tif", &bytes, "--format stack --iso 1 --spacing as-is"), &[0, 2, 4]);
     let said = about(&bytes, "");
     assert_eq!(said.left_out[0], "1 of 2 channels: the first is read");
     assert_eq!((said.voxel, said.unit.as_str(), said.format.as_str()), (Some([0.2, 0.2, 0.5]), "µm", "ImageJ TIFF"));
-    assert_slices(&read("a.tif", &file(&format!("{text}order=zct\n")), "--format stack"), &[0, 1, 2]);
+    assert_slices(&read("a.tif", &file(&format!("{text}order=zct\n")), "--format stack --iso 1 --spacing as-is"), &[0, 1, 2]);
     let times = file("ImageJ=1.53t\nimages=6\nslices=2\nframes=3\n");
-    assert_slices(&read("a.tif", &times, ""), &[0, 1]);
+    assert_slices(&read("a.tif", &times, "--iso 1 --spacing as-is"), &[0, 1]);
     assert_eq!(about(&times, "").left_out, ["2 of 3 times: the first is read"]);
     let channels = file("ImageJ=1.53t\nimages=6\nchannels=6\n");
-    assert_slices(&read("a.tif", &channels, ""), &[0]);
+    assert_slices(&read("a.tif", &channels, "--iso 1 --spacing as-is"), &[0]);
     assert_eq!(about(&channels, "").left_out, ["5 of 6 channels: the first is read"]);
     let short = file("ImageJ=1.53t\nimages=12\nchannels=4\nslices=3\n");
     let e = error("a.tif", &short, "--format stack");
@@ -242,15 +242,15 @@ fn ome_xml_says_which_page_is_which() {
         tiff(false, &dirs, &[])
     };
     let all = r#"<TiffData IFD="0" PlaneCount="6"/>"#;
-    assert_slices(&read("a.tif", &file(&ome("XYZCT", [3, 2, 1], all)), ""), &[0, 1, 2]);
-    assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], all)), ""), &[0, 2, 4]);
-    assert_slices(&read("a.tif", &file(&ome("XYTZC", [3, 1, 2], "<TiffData/>")), ""), &[0, 2, 4]);
-    assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], "")), ""), &[0, 2, 4]);
+    assert_slices(&read("a.tif", &file(&ome("XYZCT", [3, 2, 1], all)), "--iso 1 --spacing as-is"), &[0, 1, 2]);
+    assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], all)), "--iso 1 --spacing as-is"), &[0, 2, 4]);
+    assert_slices(&read("a.tif", &file(&ome("XYTZC", [3, 1, 2], "<TiffData/>")), "--iso 1 --spacing as-is"), &[0, 2, 4]);
+    assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], "--iso 1 --spacing as-is")), "--iso 1 --spacing as-is"), &[0, 2, 4]);
     // Planes by name, in any order.
     let data: String =
         [5, 3, 1].iter().enumerate().map(|(z, ifd)| format!(r#"<TiffData FirstZ="{z}" IFD="{ifd}"/>"#)).collect();
     let named = file(&ome("XYZCT", [3, 1, 1], &data));
-    assert_slices(&read("a.tif", &named, ""), &[5, 3, 1]);
+    assert_slices(&read("a.tif", &named, "--iso 1 --spacing as-is"), &[5, 3, 1]);
     let said = about(&file(&ome("XYZCT", [3, 2, 1], all)), "");
     assert_eq!((said.voxel, said.unit.as_str(), said.format.as_str()), (Some([0.5, 0.5, 2.0]), "µm", "OME-TIFF"));
     assert_eq!(said.left_out[0], "1 of 2 channels: the first is read");
@@ -272,8 +272,8 @@ fn ome_xml_says_which_page_is_which() {
     let e = open(&path, &opts("--format stack")).err().unwrap().to_string();
     assert!(e.contains("b.tif: cannot open"), "{e}");
     fs::write(dir.path().join("b.tif"), tiff(false, &slices()[4..], &[])).unwrap();
-    assert_slices(&open(&path, &opts("")).unwrap(), &[0, 4, 2]);
-    assert_slices(&open(dir.path(), &opts("")).unwrap(), &[0, 4, 2]);
+    assert_slices(&open(&path, &opts("--iso 1 --spacing as-is")).unwrap(), &[0, 4, 2]);
+    assert_slices(&open(dir.path(), &opts("--iso 1 --spacing as-is")).unwrap(), &[0, 4, 2]);
 }
 
 #[test]
@@ -302,7 +302,7 @@ fn lsm_and_metamorph_count_their_slices() {
     let mut dirs = slices();
     dirs[0] = dirs[0].clone().with(34_412, Tag::Bytes(info));
     let bytes = tiff(false, &dirs, &[]);
-    assert_slices(&read("a.lsm", &bytes, ""), &[0, 1, 2]);
+    assert_slices(&read("a.lsm", &bytes, "--iso 1 --spacing as-is"), &[0, 1, 2]);
     assert_eq!(about(&bytes, "").voxel, Some([0.1, 0.1, 0.5]));
     let rest: Vec<u8> = (1..6).flat_map(slice).collect();
     // As many quotients as there are planes, thrice as long as TIFF has them.

@@ -198,7 +198,7 @@ fn unequal_spacing_becomes_cubes_of_the_closest() {
 
     let said = about("a.nrrd", &spaced("2 2 5"), "--iso 20");
     assert_eq!(said.voxel, Some([2.0; 3]));
-    assert!(said.axes.contains("70 × 5 × 9 voxels, 2 × 2 × 5 wide, become cubes"), "{said}");
+    assert!(said.axes.contains("70 × 5 × 9 voxels of 2 × 2 × 5 units become cubes"), "{said}");
     let said = about("a.nrrd", &spaced("2 2 5"), "--iso 20 --spacing as-is");
     assert_eq!(said.voxel, Some([2.0, 2.0, 5.0]));
     assert!(said.left_out[0].contains("drawn as cubes"), "{said}");

@@ -175,9 +175,9 @@ fn sides_of_voxels_are_said() {
     let dir = tempfile::tempdir().unwrap();
     image(dir.path(), "0.4", ome_axes("xyz"), Some(json!([0.25, 0.5, 2.0])));
     v2(&dir.path().join("0"), "xyz", "|u1", json!({}));
-    let about = read(dir.path(), "").1;
+    let about = read(dir.path(), "--spacing as-is").1;
     assert_eq!((about.voxel, about.unit.as_str()), (Some([0.25, 0.5, 2.0]), "µm"));
-    assert_eq!(read(dir.path(), "--up z").1.voxel, Some([0.25, 2.0, 0.5]));
+    assert_eq!(read(dir.path(), "--up z --spacing as-is").1.voxel, Some([0.25, 2.0, 0.5]));
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn groups_that_are_no_images_give_their_only_volume() {
         let values: Vec<u8> = (0..n).flat_map(|i| (i as f64 * step + 7.0).to_le_bytes()).collect();
         fs::write(folder.join("0"), values).unwrap();
     }
-    let about = read(&dir.path().join("v"), "").1;
+    let about = read(&dir.path().join("v"), "--spacing as-is").1;
     assert_eq!((about.voxel, about.unit.as_str()), (Some([0.5, 0.25, 2.0]), "m"));
     write(dir.path(), ".zattrs", &json!({"plate": {}}));
     assert!(refused(dir.path()).contains("a plate of wells"));
