@@ -207,7 +207,10 @@ fn imagej_hyperstacks_are_their_first_channel_and_time_in_the_order_stated() {
     let said = about(&bytes, "");
     assert_eq!(said.left_out[0], "1 of 2 channels: the first is read");
     assert_eq!((said.voxel, said.unit.as_str(), said.format.as_str()), (Some([0.2, 0.2, 0.5]), "µm", "ImageJ TIFF"));
-    assert_slices(&read("a.tif", &file(&format!("{text}order=zct\n")), "--format stack --iso 1 --spacing as-is"), &[0, 1, 2]);
+    assert_slices(
+        &read("a.tif", &file(&format!("{text}order=zct\n")), "--format stack --iso 1 --spacing as-is"),
+        &[0, 1, 2],
+    );
     let times = file("ImageJ=1.53t\nimages=6\nslices=2\nframes=3\n");
     assert_slices(&read("a.tif", &times, "--iso 1 --spacing as-is"), &[0, 1]);
     assert_eq!(about(&times, "").left_out, ["2 of 3 times: the first is read"]);
@@ -244,8 +247,11 @@ fn ome_xml_says_which_page_is_which() {
     let all = r#"<TiffData IFD="0" PlaneCount="6"/>"#;
     assert_slices(&read("a.tif", &file(&ome("XYZCT", [3, 2, 1], all)), "--iso 1 --spacing as-is"), &[0, 1, 2]);
     assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], all)), "--iso 1 --spacing as-is"), &[0, 2, 4]);
-    assert_slices(&read("a.tif", &file(&ome("XYTZC", [3, 1, 2], "<TiffData/>")), "--iso 1 --spacing as-is"), &[0, 2, 4]);
-    assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], "--iso 1 --spacing as-is")), "--iso 1 --spacing as-is"), &[0, 2, 4]);
+    assert_slices(
+        &read("a.tif", &file(&ome("XYTZC", [3, 1, 2], "<TiffData/>")), "--iso 1 --spacing as-is"),
+        &[0, 2, 4],
+    );
+    assert_slices(&read("a.tif", &file(&ome("XYCZT", [3, 2, 1], "")), "--iso 1 --spacing as-is"), &[0, 2, 4]);
     // Planes by name, in any order.
     let data: String =
         [5, 3, 1].iter().enumerate().map(|(z, ifd)| format!(r#"<TiffData FirstZ="{z}" IFD="{ifd}"/>"#)).collect();
