@@ -1023,7 +1023,7 @@ fn plain(error: &clap::Error) -> String {
     let mut paragraphs = text.split("\n\n");
     let first = paragraphs.next().unwrap_or_default();
     // "tip: a similar argument exists: …"
-    let tips = paragraphs.filter(|p| p.trim_start().starts_with("tip: a similar"));
+    let tips = paragraphs.filter(|p| p.trim_start().starts_with("tip: ") && p.contains("similar"));
     let line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
     let tips: String = tips.map(|tip| format!("; {}", line(tip).trim_start_matches("tip: "))).collect();
     line(first.trim_start_matches("error: ")) + &tips

@@ -139,9 +139,18 @@ static REFUSED: AtomicUsize = AtomicUsize::new(0);
 /// [`explain_lost_files`] turns that into a line and status 1. Who asks by `try_reserve` is told as ever.
 pub struct Allocator;
 
+/// Bytes that are never asked for by who can do without: where they are missing the program ends at once, as it would else on
+/// the way to saying so.
+#[cfg(unix)]
+const NEEDED: usize = 64 << 10;
+
 fn noted(at: *mut u8, bytes: usize) -> *mut u8 {
     if at.is_null() {
         REFUSED.store(bytes, Ordering::Release);
+        #[cfg(unix)]
+        if bytes < NEEDED {
+            handler::out_of_memory(bytes);
+        }
     }
     at
 }
@@ -251,6 +260,10 @@ mod handler {
             unsafe { libc::signal(libc::SIGABRT, libc::SIG_DFL) };
             return;
         }
+        out_of_memory(bytes);
+    }
+
+    pub fn out_of_memory(bytes: usize) -> ! {
         last_word();
         let mut digits = [0; 20];
         say(b"planecast: out of memory: the system refuses ");

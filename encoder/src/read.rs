@@ -46,7 +46,7 @@ pub struct PcastFile {
     encoding: Encoding,
     color: ColorMode,
     mip_rule: MipRule,
-    about: About,
+    about: Box<About>,
     grids: Vec<Grid>,
     entries: Vec<TileEntry>,
     /// Tiles whose checksum was found to be right.
@@ -193,7 +193,17 @@ impl PcastFile {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
         }
         let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
-        Ok(PcastFile { path: path.into(), bytes, encoding, color, mip_rule, about, grids, entries, checked })
+        Ok(PcastFile {
+            path: path.into(),
+            bytes,
+            encoding,
+            color,
+            mip_rule,
+            about: Box::new(about),
+            grids,
+            entries,
+            checked,
+        })
     }
 
     /// The bytes of a file in memory, of which some come only now; tiles are checked when they are read. None of a mapped

@@ -94,7 +94,7 @@ pub(crate) struct Object {
 
 enum Place {
     Store(Arc<dyn ObjectStore>, Key),
-    Http(Http),
+    Http(Box<Http>),
 }
 
 impl Object {
@@ -103,7 +103,7 @@ impl Object {
         if let Some(address) = plain(url)? {
             let Some(http) = Http::open(address, &shown(url))? else { return Ok(None) };
             let (len, state) = (http.len(), http.state().to_owned());
-            return Ok(Some(Object { url: shown(url), place: Place::Http(http), len, state }));
+            return Ok(Some(Object { url: shown(url), place: Place::Http(Box::new(http)), len, state }));
         }
         let (store, key) = resolve(url)?;
         let found = match wait(url, "open", store.head(&key)) {
