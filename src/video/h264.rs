@@ -13,7 +13,7 @@ use planecast_encoder::{Error, Result};
 use super::{Rate, Segment, Yuv};
 
 /// Of 51, the coarsest.
-const QUANTIZER: u8 = 22;
+const QUANTIZER: u8 = 21;
 
 fn fault(what: impl std::fmt::Display) -> Error {
     Error::Limit(format!("the H.264 encoder cannot go on: {what}"))
