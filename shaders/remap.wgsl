@@ -104,7 +104,8 @@ fn color_of(voxel: vec4<i32>) -> u32 {
 //!endif
 
 @compute @workgroup_size(16, 16)
-fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let id = pixel_of(group.xy, lane);
     if (id.x >= frame.width || id.y >= frame.height) {
         return;
     }

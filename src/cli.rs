@@ -35,9 +35,10 @@ use crate::report;
 #[cfg(feature = "report")]
 use crate::stability;
 use crate::tour::{self, View};
+use crate::video::{Encoder, padded, segment_frames};
 use crate::{
-    Camera, Culling, Error, Features, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo, help,
-    output, pick, renderer, view,
+    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo,
+    help, output, pick, renderer, view,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -55,6 +56,7 @@ pub struct Cli {
 pub(crate) fn features_built() -> String {
     let all = [
         ("gpu", cfg!(feature = "gpu")),
+        ("h264", cfg!(feature = "h264")),
         ("av1", cfg!(feature = "av1")),
         ("report", cfg!(feature = "report")),
         ("view", cfg!(feature = "view")),
@@ -78,6 +80,7 @@ pub enum Command {
     Query(planecast_encoder::cli::QueryArgs),
     Render(RenderArgs),
     Fly(FlyArgs),
+    Join(JoinArgs),
     View(ViewArgs),
     Pick(PickArgs),
     Demo(DemoArgs),
@@ -131,7 +134,11 @@ pub struct RenderArgs {
 
 /// Make a film of a scene, or a folder of its frames
 ///
-/// Ctrl-C stops after the frame under way and leaves a whole film up to there; --resume goes on.
+/// Ctrl-C stops after the frame under way and leaves a whole film up to there; --resume goes on with an .mp4 or a folder.
+///
+/// MP4 films are H.264. It is patented in some countries: private use is free everywhere, but who sells or streams such films
+/// for money, or gives away programs that make them, may owe a licence fee to the patents' holders (Via LA), which no
+/// open-source licence covers. --encoder av1 is free of that, and much slower.
 ///
 /// A path file is JSON: a list of keyframes {"t": seconds, "eye": [x, y, z], "yaw": degrees, "pitch": degrees,
 /// "roll": degrees (0 if left out), "fov": degrees (that of --fov if left out)} with increasing times. Between them
@@ -140,18 +147,25 @@ pub struct RenderArgs {
 pub struct FlyArgs {
     /// Scene file (.pcast), or an input that encode takes, or the URL of either
     scene: PathBuf,
-    /// Film to write (.mp4, AV1), or a folder for PNG frames
-    #[arg(short, long, value_name = "OUT.mp4|OUTDIR")]
+    /// Film to write (.mp4, .y4m; .gif or .png that move), a folder for PNG frames, or - for Y4M to standard output
+    #[arg(short, long, value_name = "OUT.mp4|OUTDIR|-")]
     output: PathBuf,
+    /// What encodes: h264, av1, or the program ffmpeg, with arguments for its output after a colon [default: h264]
+    #[arg(long, value_name = "h264|av1|ffmpeg[:ARGS]")]
+    encoder: Option<Encoder>,
     /// Fly along the keyframes in this file
     #[arg(long, value_name = "P.json", conflicts_with = "tour")]
     path: Option<PathBuf>,
     /// Fly a tour made from the scene itself [default without --path]
     #[arg(long)]
     tour: bool,
-    /// Frames in all, spread evenly over the path [default: as many as its time takes at --fps]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    frames: Option<u32>,
+    /// Frames in all, spread evenly over the path [default: as many as its time takes at --fps]; or A..B: only those of the
+    /// whole film, from 0, without B; A..B/N: the same of a film of N frames. Parts in MP4 are put together by join
+    #[arg(long, value_name = "N|A..B[/N]", value_parser = frames)]
+    frames: Option<Frames>,
+    /// Only print how many frames the whole film has, and the multiple of frames at which parts are best cut (JSON)
+    #[arg(long)]
+    plan: bool,
     /// Frames a second, 1 to 240
     #[arg(long, value_name = "F", value_parser = fps, default_value = "30")]
     fps: f64,
@@ -173,6 +187,17 @@ pub struct FlyArgs {
     aim: AimArgs,
     #[command(flatten)]
     input: InputArgs,
+}
+
+/// Put parts of a film together that fly --frames A..B has made, without encoding them again
+#[derive(Debug, Args)]
+pub struct JoinArgs {
+    /// Parts of one film, in any order (.mp4)
+    #[arg(required = true, value_name = "SEGMENT.mp4")]
+    segments: Vec<PathBuf>,
+    /// Film to write
+    #[arg(short, long, value_name = "FILM.mp4")]
+    output: PathBuf,
 }
 
 /// Open a window to fly in
@@ -388,13 +413,14 @@ pub struct DrawArgs {
 
 impl ValueEnum for Device {
     fn value_variants<'a>() -> &'a [Device] {
-        &[Device::Auto, Device::Gpu, Device::Cpu, Device::Exact]
+        &[Device::Auto, Device::Gpu, Device::AllGpus, Device::Cpu, Device::Exact]
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
         let (name, help) = match self {
             Device::Auto => ("auto", "The GPU where a real one is usable, else the CPU"),
             Device::Gpu => ("gpu", "The GPU; an error where there is none"),
+            Device::AllGpus => ("gpu:all", "Every GPU at once, a frame on each in turn: for films"),
             Device::Cpu => ("cpu", "The CPU"),
             Device::Exact => ("exact", "One f64 ray per pixel at level 0, on the CPU"),
         };
@@ -465,6 +491,25 @@ fn fov(s: &str) -> Result<f64, String> {
 fn fps(s: &str) -> Result<f64, String> {
     let allowed = |v: &f64| (1.0..=240.0).contains(v);
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 1 to 240".into()))
+}
+
+/// What `--frames` names: some of the frames, how many in all.
+#[derive(Clone, Debug, PartialEq)]
+struct Frames(Option<std::ops::Range<usize>>, Option<usize>);
+
+fn frames(s: &str) -> Result<Frames, String> {
+    let number = |s: &str| s.trim().parse::<usize>().ok().filter(|n| (0..=1_000_000).contains(n));
+    let whole = |s: &str| number(s).filter(|n: &usize| *n > 0);
+    let parse = || match s.split_once("..") {
+        None => Some(Frames(None, Some(whole(s)?))),
+        Some((from, to)) => {
+            let (to, all) = to.split_once('/').map_or((to, None), |(to, all)| (to, Some(all)));
+            let (range, all) = (number(from)?..number(to)?, all.map(whole));
+            let fits = !range.is_empty() && all.is_none_or(|all| all.is_some_and(|all| range.end <= all));
+            fits.then_some(Frames(Some(range), all.flatten()))
+        }
+    };
+    parse().ok_or_else(|| "expected a number from 1 to 1000000, or frames as in 48..96 or 48..96/300".into())
 }
 
 pub(crate) fn vector(s: &str) -> Result<DVec3, String> {
@@ -690,9 +735,12 @@ impl RenderArgs {
 impl FlyArgs {
     fn run(&self) -> Result<()> {
         let begun = Instant::now();
-        let kind = Kind::of(&self.output)?;
+        let kind = Kind::of(&self.output, self.encoder.as_ref())?;
+        if !self.plan {
+            kind.check(self.size, self.fps)?;
+        }
         let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
-        if kind == Kind::Mp4 {
+        if !matches!(kind, Kind::Folder | Kind::Stdout) {
             outputs.push(("--output", Some(&self.output)));
         }
         check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
@@ -713,10 +761,27 @@ impl FlyArgs {
         if let Some(file) = &self.save_path {
             output::write(file, |out| out.write_all(path.to_json().as_bytes()))?.finish()?;
         }
-        let frames = match self.frames {
-            Some(n) => n as usize,
-            None => (path.duration() * self.fps).round().clamp(1.0, 1e6) as usize,
-        };
+        let Frames(range, all) = self.frames.clone().unwrap_or(Frames(None, None));
+        let frames = all.unwrap_or_else(|| (path.duration() * self.fps).round().clamp(1.0, 1e6) as usize);
+        let range = range.unwrap_or(0..frames);
+        if self.plan {
+            return print(&format!(
+                "{}\n",
+                json!({"frames": frames, "segment": segment_frames(self.size[0], self.size[1])})
+            ));
+        }
+        if range.end > frames {
+            let std::ops::Range { start, end } = range;
+            return Err(Error::Argument(format!("--frames {start}..{end}: the film has frames 0..{frames}")));
+        }
+        let [width, height] = self.size;
+        if kind.is_yuv() && self.size.map(padded) != self.size.map(|v| v as usize) {
+            let [w, h] = self.size.map(padded);
+            tell(&format!(
+                "film of {width} x {height} pixels is written as {w} x {h}, its last column and row repeated: 4:2:0 takes even sizes of \
+                 at least 16; use --size {w}x{h} to draw them"
+            ));
+        }
         let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| p.camera(self.size)).collect();
         for camera in &cameras {
             renderer::check(camera, &options).map_err(|e| match (e, &self.path) {
@@ -728,9 +793,12 @@ impl FlyArgs {
         let (scene, resident) = shared(scene, self.draw.specialize);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
+        renderer.set_depth(false);
         let film = Film {
             output: &self.output,
+            kind,
             cameras: &cameras,
+            range: range.clone(),
             fps: self.fps,
             resume: self.resume,
             source: json!({
@@ -740,22 +808,41 @@ impl FlyArgs {
             }),
             stop: stop_on_ctrl_c(),
         };
-        let draw = &mut |cameras: &[Camera]| renderer.draw_first(cameras, &options, Outputs::default(), &mut tell);
+        let draw = &mut |cameras: &[Camera], spare: Option<Frame>| {
+            renderer.reuse(spare);
+            renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)
+        };
         let outcome = fly::fly(&film, draw)?;
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
             output::write(file, |out| output::json(out, stats))?.finish()?;
         }
-        if outcome.frames < frames {
+        if outcome.frames < range.len() && !outcome.closed {
+            let resumes = matches!(film.kind, Kind::Mp4(_) | Kind::Folder);
             return Err(Error::Limit(format!(
-                "stopped with {} of {frames} frames in {}; the same command with --resume goes on",
+                "stopped with {} of {} frames in {}{}",
                 outcome.frames,
-                self.output.display()
+                range.len(),
+                self.output.display(),
+                if resumes { "; the same command with --resume goes on" } else { "" }
             )));
         }
         if let Some(path) = named_file(&self.output) {
             let [width, height] = self.size;
             Made::new(None, path).tell(begun, &format!("{} frames of {width} x {height} pixels", outcome.frames));
         }
+        Ok(())
+    }
+}
+
+impl JoinArgs {
+    fn run(&self) -> Result<()> {
+        let inputs: Vec<Option<&PathBuf>> = self.segments.iter().map(Some).collect();
+        check_outputs(&inputs, &[("--output", Some(&self.output))])?;
+        if Kind::of(&self.output, None)? != Kind::of(FilePath::new("x.mp4"), None)? {
+            return Err(Error::Argument(format!("-o {}: parts are put together to an .mp4", self.output.display())));
+        }
+        let frames = fly::join(&self.segments, &self.output)?;
+        tell(&format!("{}: {frames} frames of {} parts", self.output.display(), self.segments.len()));
         Ok(())
     }
 }
@@ -936,6 +1023,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Query(args) => args.run().map_err(Error::from),
         Command::Render(args) => args.run(),
         Command::Fly(args) => args.run(),
+        Command::Join(args) => args.run(),
         Command::View(args) => args.run(),
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),

@@ -12,7 +12,7 @@ use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, Error as FileError, PcastFile, build, write};
 use serde_json::Value;
 
-use crate::fly::{self, Film};
+use crate::fly::{self, Film, Kind};
 use crate::tour::{self, View};
 use crate::{Camera, CpuRenderer, Options, Outputs, Repeat, Resident, Result, cli, output};
 
@@ -24,9 +24,9 @@ const COLORS: &[u8] = include_bytes!("../assets/jacksboro-colors.png");
 const HEIGHT_SCALE: f64 = 0.1;
 
 const STILL: [u32; 2] = [1280, 720];
-const FILM: [u32; 2] = [640, 360];
-const FRAMES: usize = 96;
-const FPS: f64 = 12.0;
+const FILM: [u32; 2] = [1280, 720];
+const FRAMES: usize = 240;
+const FPS: f64 = 30.0;
 
 /// Makes the demo's files in `folder` and tells of each.
 pub fn demo(folder: &Path) -> Result<()> {
@@ -36,6 +36,8 @@ pub fn demo(folder: &Path) -> Result<()> {
     let (scene_file, still, film) = (file("jacksboro.pcast"), file("still.png"), file("flight.mp4"));
     output::check(&still)?;
     output::check(&film)?;
+    let kind = Kind::of(&film, None)?;
+    kind.check(FILM, FPS)?;
     let start = Instant::now();
     let tell = |what: String| cli::print(&format!("{:5.1} s  {what}\n", start.elapsed().as_secs_f64()));
 
@@ -64,8 +66,12 @@ pub fn demo(folder: &Path) -> Result<()> {
     let path = tour::tour(&scene, view(FILM));
     let cameras: Vec<Camera> = path.poses(FRAMES).iter().map(|p| p.camera(FILM)).collect();
     let stop = AtomicBool::new(false);
-    let (film_output, source) = (&film, Value::String("demo".into()));
-    let plan = Film { output: film_output, cameras: &cameras, fps: FPS, resume: false, source, stop: &stop };
-    fly::fly(&plan, &mut |cameras| renderer.render(&cameras[0], &options, Outputs::default()))?;
+    let (film_output, source, range) = (&film, Value::String("demo".into()), 0..FRAMES);
+    let plan =
+        Film { output: film_output, kind, cameras: &cameras, range, fps: FPS, resume: false, source, stop: &stop };
+    fly::fly(&plan, &mut |cameras, spare| {
+        renderer.reuse(spare);
+        renderer.render(&cameras[0], &options, Outputs::default())
+    })?;
     tell(format!("{}: {FRAMES} frames of {} x {} pixels", film.display(), FILM[0], FILM[1]))
 }

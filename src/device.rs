@@ -21,6 +21,8 @@ pub enum Device {
     #[default]
     Auto,
     Gpu,
+    /// Every GPU at once, a frame on each in turn: for films.
+    AllGpus,
     Cpu,
     /// One f64 ray per pixel at level 0, on the CPU.
     Exact,
@@ -42,7 +44,7 @@ enum Backend {
     Planes(CpuRenderer),
     Exact(CpuRenderer),
     #[cfg(feature = "gpu")]
-    Gpu(Box<GpuRenderer>),
+    Gpu(Vec<GpuRenderer>),
 }
 
 impl Renderer {
@@ -96,10 +98,15 @@ impl Renderer {
                 }
             },
             Device::Gpu => open_gpu(scene, resident, kernel, false)?,
+            Device::AllGpus => open_gpus(scene, resident, kernel)?,
         };
         #[cfg(feature = "gpu")]
-        if let (Backend::Gpu(gpu), Device::Auto) = (&backend, device) {
-            tell(&format!("drawing on the gpu: {}", gpu.device().0));
+        if let (Backend::Gpu(gpus), Device::Auto | Device::AllGpus) = (&backend, device) {
+            let names: Vec<_> = gpus.iter().map(|gpu| gpu.device().0).collect();
+            match gpus.len() {
+                1 => tell(&format!("drawing on the gpu: {}", names[0])),
+                n => tell(&format!("drawing on {n} gpus: {}", names.join(", "))),
+            }
         }
         Ok(Renderer {
             backend,
@@ -116,15 +123,37 @@ impl Renderer {
     pub fn on_gpu(gpu: GpuRenderer) -> Renderer {
         let (scene, resident) = gpu.draws();
         let fall_back = Some((Arc::clone(scene), Arc::clone(resident)));
-        Renderer { backend: Backend::Gpu(Box::new(gpu)), notices: Vec::new(), fall_back, ahead: Ahead::new() }
+        Renderer { backend: Backend::Gpu(vec![gpu]), notices: Vec::new(), fall_back, ahead: Ahead::new() }
     }
 
-    /// Whether frames' figures say how many columns, runs and spans were visited. The CPU counts in any case: it costs nothing.
+    /// Whether frames' figures say how many columns, runs and spans were visited, and how long each stage took. The CPU has them
+    /// in any case: they cost nothing.
     pub fn set_count(&mut self, count: bool) {
         match &mut self.backend {
             Backend::Planes(_) | Backend::Exact(_) => _ = count,
             #[cfg(feature = "gpu")]
-            Backend::Gpu(gpu) => gpu.set_count(count),
+            Backend::Gpu(gpus) => gpus.iter_mut().for_each(|gpu| {
+                gpu.set_count(count);
+                gpu.set_stage_times(count);
+            }),
+        }
+    }
+
+    /// Whether frames have depths; without them the GPU has half as much to read back. The CPU makes them in any case.
+    pub fn set_depth(&mut self, depth: bool) {
+        match &mut self.backend {
+            Backend::Planes(_) | Backend::Exact(_) => _ = depth,
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpus) => gpus.iter_mut().for_each(|gpu| gpu.set_depth(depth)),
+        }
+    }
+
+    /// Gives a frame back that is done with: a later one takes its memory, already touched.
+    pub fn reuse(&mut self, frame: Option<Frame>) {
+        match &mut self.backend {
+            Backend::Planes(cpu) | Backend::Exact(cpu) => cpu.reuse(frame),
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpus) => gpus[self.ahead.front().map_or(0, |sent| sent.gpu)].reuse(frame),
         }
     }
 
@@ -167,7 +196,7 @@ impl Renderer {
             Backend::Planes(cpu) => cpu.render(camera, options, outputs),
             Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
             #[cfg(feature = "gpu")]
-            Backend::Gpu(gpu) => match draw_ahead(gpu, &mut self.ahead, cameras, options, outputs) {
+            Backend::Gpu(gpus) => match draw_ahead(gpus, &mut self.ahead, cameras, options, outputs) {
                 Err(e @ (Error::Device(_) | Error::Limit(_))) => {
                     let Some((scene, resident)) = &self.fall_back else { return Err(e) };
                     tell(&format!("going on with the cpu: {e}"));
@@ -201,8 +230,8 @@ impl Renderer {
     /// The GPU's adapter and driver, where it draws.
     pub fn adapter(&self) -> Option<String> {
         #[cfg(feature = "gpu")]
-        if let Backend::Gpu(gpu) = &self.backend {
-            let (name, driver) = gpu.device();
+        if let Backend::Gpu(gpus) = &self.backend {
+            let (name, driver) = gpus[0].device();
             return Some(format!("{name} ({driver})"));
         }
         None
@@ -233,35 +262,46 @@ impl Renderer {
 
 /// Frames on their way, in the order in which they were submitted.
 #[cfg(feature = "gpu")]
-type Ahead = VecDeque<(Camera, Options, Outputs)>;
+type Ahead = VecDeque<Sent>;
+
+#[cfg(feature = "gpu")]
+struct Sent {
+    job: (Camera, Options, Outputs),
+    /// Which of the GPUs draws it.
+    gpu: usize,
+}
 
 #[cfg(feature = "gpu")]
 fn draw_ahead(
-    gpu: &mut GpuRenderer,
+    gpus: &mut [GpuRenderer],
     ahead: &mut Ahead,
     cameras: &[Camera],
     options: &Options,
     outputs: Outputs,
 ) -> Result<Frame> {
     let job = |camera: &Camera| (*camera, *options, outputs);
-    if ahead.len() > cameras.len() || ahead.iter().zip(cameras).any(|(sent, camera)| *sent != job(camera)) {
+    if ahead.len() > cameras.len() || ahead.iter().zip(cameras).any(|(sent, camera)| sent.job != job(camera)) {
         // Nobody asks for these any more.
-        while gpu.collect().is_some() {}
+        gpus.iter_mut().for_each(|gpu| while gpu.collect().is_some() {});
         ahead.clear();
     }
+    // In turn: so frames come back in order, whichever GPU is faster.
     for camera in &cameras[ahead.len()..] {
-        if gpu.is_full() {
+        let gpu = ahead.back().map_or(0, |sent| (sent.gpu + 1) % gpus.len());
+        if gpus[gpu].is_full() {
             break;
         }
-        match gpu.submit(camera, options, outputs) {
-            Ok(()) => ahead.push_back(job(camera)),
+        match gpus[gpu].submit(camera, options, outputs) {
+            Ok(()) => ahead.push_back(Sent { job: job(camera), gpu }),
             Err(e) if ahead.is_empty() => return Err(e),
             // It will be asked for once more when its turn comes.
             Err(_) => break,
         }
     }
-    ahead.pop_front();
-    gpu.collect().expect("the first frame was submitted")
+    // Those that the GPU which gives a frame now draws next.
+    let next: Vec<Camera> = cameras[ahead.len()..].iter().step_by(gpus.len()).take(4).copied().collect();
+    let first = ahead.pop_front().expect("the first frame was submitted");
+    gpus[first.gpu].collect_and_prepare(&next, options).expect("the first frame was submitted")
 }
 
 /// The GPU; with `real_only`, none that a processor plays.
@@ -272,7 +312,19 @@ fn open_gpu(scene: &Arc<Scene>, resident: &Arc<Resident>, kernel: Option<&str>, 
     if real_only && gpu.is_software() {
         return Err(Error::Device(format!("the only adapter is software ({})", gpu.device().0)));
     }
-    Ok(Backend::Gpu(Box::new(gpu)))
+    Ok(Backend::Gpu(vec![gpu]))
+}
+
+/// Every GPU, of those that a processor plays only where there is no other.
+#[cfg(feature = "gpu")]
+fn open_gpus(scene: &Arc<Scene>, resident: &Arc<Resident>, kernel: Option<&str>) -> Result<Backend> {
+    let kernel = kernel.map_or(Ok(GpuOptions::default().kernel), str::parse::<Kernel>)?;
+    Ok(Backend::Gpu(GpuRenderer::on_all(scene, resident, GpuOptions { kernel, ..GpuOptions::default() })?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open_gpus(scene: &Arc<Scene>, resident: &Arc<Resident>, kernel: Option<&str>) -> Result<Backend> {
+    open_gpu(scene, resident, kernel, false)
 }
 
 #[cfg(not(feature = "gpu"))]

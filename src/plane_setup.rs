@@ -17,6 +17,7 @@ use crate::camera::{Basis, Camera};
 use crate::options::{Options, Planes, Remap};
 use crate::resident::Resident;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// View distance of a repeated world if none is given, in voxels (the paper's).
 pub const REPEATED_VIEW_DISTANCE: f64 = 40_000.0;
@@ -55,6 +56,9 @@ pub struct Setup {
     /// See [`Options::view_distance`]; finite where the world repeats.
     pub view_distance: f64,
 }
+
+/// Planes, rows or columns that a thread works out at a time: fewer are not worth the handing over.
+pub(crate) const AT_ONCE: usize = 256;
 
 /// Planes towards one screen edge.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -196,22 +200,28 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
     for (f, fan) in fans.iter_mut().enumerate() {
         fan.first_plane = planes.len() as u32;
         fan.first_sample = samples;
-        for k in 0..fan.n_planes {
+        let flips = |plane: &Plane| plane.b * plane.c - plane.a * plane.e < 0.0;
+        let plane = |k: u32| {
+            let mut fan = *fan;
             let (at, stripe) = fan.place(k);
             let mut plane = line(f, at, fan.far, camera, &basis);
-            fan.flip = plane.b * plane.c - plane.a * plane.e < 0.0;
+            fan.flip = flips(&plane);
             let n = f64::from(fan.n_samples);
             let per_pixel = n / f64::from(fan.pixels);
             (plane.a, plane.b) = (plane.a * per_pixel, plane.b * per_pixel);
             if fan.flip {
                 (plane.a, plane.b) = (n * plane.c - plane.a, n * plane.e - plane.b);
             }
-            (plane.first, plane.end) = window(f, at, stripe, fan, vanishing, w, h);
-            plane.base = samples;
-            samples += fan.n_samples as usize;
+            (plane.first, plane.end) = window(f, at, stripe, &fan, vanishing, w, h);
+            plane.base = samples + k as usize * fan.n_samples as usize;
             world.clip(&mut plane);
             world.choose_levels(&mut plane, focal, options.lod);
-            planes.push(plane);
+            plane
+        };
+        planes.par_extend((0..fan.n_planes).into_par_iter().with_min_len(AT_ONCE).map(plane));
+        samples += fan.n_planes as usize * fan.n_samples as usize;
+        if let Some(last) = fan.n_planes.checked_sub(1) {
+            fan.flip = flips(&line(f, fan.place(last).0, fan.far, camera, &basis));
         }
     }
     Setup {

@@ -24,6 +24,8 @@ pub struct CpuRenderer {
     color: Vec<u32>,
     index: Vec<u32>,
     doubt: Vec<refine::Doubt>,
+    /// A frame whose memory the next one takes.
+    spare: Option<Frame>,
 }
 
 /// What is wanted beside colour and depth.
@@ -100,7 +102,12 @@ impl CpuRenderer {
     pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>) -> CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
-        CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color, index, doubt }
+        CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color, index, doubt, spare: None }
+    }
+
+    /// Gives a frame back that is done with: the next one takes its memory, already touched.
+    pub fn reuse(&mut self, frame: Option<Frame>) {
+        self.spare = frame.or(self.spare.take());
     }
 
     /// Draws one frame by forward projection in planes.
@@ -173,7 +180,19 @@ impl CpuRenderer {
     }
 
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {
-        let frame = empty_frame(camera, outputs);
+        let frame = match self.spare.take() {
+            Some(mut spare) => {
+                let n = camera.width as usize * camera.height as usize;
+                (spare.width, spare.height, spare.stats) = (camera.width, camera.height, Stats::default());
+                // What is there is drawn over, all of it; of voxels only those that are not sky.
+                spare.color.resize(n, [0; 4]);
+                spare.depth.resize(n, 0.0);
+                spare.voxel.clear();
+                spare.voxel.resize(if outputs.voxel { n } else { 0 }, SKY);
+                spare
+            }
+            None => empty_frame(camera, outputs),
+        };
         self.color.resize(frame.depth.len(), 0);
         frame
     }

@@ -115,7 +115,12 @@ fn exit_status_tells_the_command_line_from_the_input() {
         (2, "render hills.pcast -o hills.pcast"),
         (2, "render hills.pcast -o p.png --voxel ./p.png"),
         (2, "fly hills.pcast -o film --path p.json --save-path p.json"),
-        (2, "fly hills.pcast -o film.gif"),
+        (2, "fly hills.pcast -o film.webm"),
+        (2, "fly hills.pcast -o film --encoder h264"),
+        (2, "fly hills.pcast -o film.gif --fps 60"),
+        (2, "fly hills.pcast -o film --frames 9..3"),
+        (2, "fly hills.pcast -o film --frames 2..9/8"),
+        (1, "join hills.pcast -o film.mp4"),
         (2, "render hills.pcast -o p.png --kernel nosuch --device cpu"),
         (2, "pick hills.pcast --from 1,2,3 --dir 0,0,0"),
         (1, "render nosuch.pcast -o p.png"),
@@ -192,11 +197,11 @@ fn output_to_a_closed_pipe_is_no_error() {
     }
 }
 
-#[cfg(all(unix, feature = "av1"))]
+#[cfg(all(unix, any(feature = "h264", feature = "av1")))]
 #[test]
 fn fly_interrupted_leaves_a_film_and_goes_on() {
     let dir = workplace();
-    let line = "fly hills.pcast -o film.mp4 --frames 400 --size 64x36 --device cpu";
+    let line = "fly hills.pcast -o film.mp4 --frames 1500 --size 64x36 --device cpu";
     let mut child = Command::new(env!("CARGO_BIN_EXE_planecast"))
         .args(line.split_whitespace())
         .current_dir(dir.path())
@@ -212,15 +217,147 @@ fn fly_interrupted_leaves_a_film_and_goes_on() {
     let output = child.wait_with_output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("of 400 frames in film.mp4; the same command with --resume goes on"), "{said}");
+    assert!(said.contains("of 1500 frames in film.mp4; the same command with --resume goes on"), "{said}");
     let film = || fs::read(dir.path().join("film.mp4")).unwrap();
     let samples = |mp4: &[u8]| {
         let at = mp4.windows(4).position(|w| w == b"stsz").unwrap();
         u32::from_be_bytes(mp4[at + 12..at + 16].try_into().unwrap())
     };
-    assert!((24..400).contains(&samples(&film())), "{}", samples(&film()));
+    assert!((24..1500).contains(&samples(&film())), "{}", samples(&film()));
     succeeds(dir.path(), &format!("{line} --resume"));
-    assert_eq!((samples(&film()), names(dir.path())), (400, vec!["film.mp4".to_string(), "hills.pcast".to_string()]));
+    assert_eq!((samples(&film()), names(dir.path())), (1500, vec!["film.mp4".to_string(), "hills.pcast".to_string()]));
+}
+
+#[test]
+fn fly_writes_y4m_to_standard_output_and_to_a_file() {
+    let dir = workplace();
+    let how = "--frames 3 --fps 29.97 --size 64x36 --device cpu";
+    let output = planecast(dir.path(), &format!("fly hills.pcast -o - {how}"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let head = b"YUV4MPEG2 W64 H36 F30000:1001 Ip A1:1 C420jpeg XCOLORRANGE=LIMITED\n";
+    assert!(output.stdout.starts_with(head));
+    assert_eq!(output.stdout.len(), head.len() + 3 * (6 + 64 * 36 * 3 / 2));
+    succeeds(dir.path(), &format!("fly hills.pcast -o film.y4m {how}"));
+    assert!(fs::read(dir.path().join("film.y4m")).unwrap() == output.stdout);
+    let part = planecast(dir.path(), &format!("fly hills.pcast -o - {how}").replace("--frames 3", "--frames 1..3/3"));
+    assert!(part.stdout[head.len()..] == output.stdout[head.len() + 6 + 64 * 36 * 3 / 2..], "the same frames");
+    // Whoever reads it may stop.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_planecast"))
+        .args(format!("fly hills.pcast -o - {how}").replace("--frames 3", "--frames 2000").split_whitespace())
+        .current_dir(dir.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdout.take().unwrap().read_exact(&mut [0; 5000]).unwrap();
+    assert!(child.wait().unwrap().success());
+}
+
+#[test]
+fn fly_makes_pictures_that_move() {
+    let dir = workplace();
+    for name in ["loop.gif", "loop.png"] {
+        succeeds(dir.path(), &format!("fly hills.pcast -o {name} --frames 4 --fps 10 --size 33x21 --device cpu"));
+    }
+    let bytes = |name: &str| fs::read(dir.path().join(name)).unwrap();
+    assert!(bytes("loop.gif").starts_with(b"GIF89a\x21\0\x15\0") && bytes("loop.png").starts_with(b"\x89PNG"));
+    assert_eq!(bytes("loop.png").windows(4).filter(|w| w == b"fcTL").count(), 4);
+    assert_eq!(names(dir.path()), ["hills.pcast", "loop.gif", "loop.png"]);
+}
+
+#[cfg(any(feature = "h264", feature = "av1"))]
+fn index(mp4: &Path) -> mp4_atom::Moov {
+    use mp4_atom::Decode;
+    let bytes = fs::read(mp4).unwrap();
+    let at = bytes.windows(4).position(|w| w == b"moov").unwrap() - 4;
+    mp4_atom::Moov::decode(&mut &bytes[at..]).unwrap()
+}
+
+#[cfg(any(feature = "h264", feature = "av1"))]
+#[test]
+fn fly_makes_a_film_of_one_frame_that_lasts_one_frame() {
+    let dir = workplace();
+    for frames in [1u32, 2] {
+        succeeds(dir.path(), &format!("fly hills.pcast -o one.mp4 --tour --frames {frames} --size 64x64 --device cpu"));
+        let moov = index(&dir.path().join("one.mp4"));
+        let seconds = moov.mvhd.duration as f64 / f64::from(moov.mvhd.timescale);
+        assert!((seconds - f64::from(frames) / 30.0).abs() < 1e-9, "{frames} frames last {seconds} s");
+    }
+}
+
+#[cfg(any(feature = "h264", feature = "av1"))]
+#[test]
+fn fly_says_that_an_odd_size_grows() {
+    let dir = workplace();
+    let how = "--frames 2 --device cpu --size";
+    let output = planecast(dir.path(), &format!("fly hills.pcast -o film.mp4 {how} 63x41"));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("film of 63 x 41 pixels is written as 64 x 42"), "{said}");
+    let tkhd = &index(&dir.path().join("film.mp4")).trak[0].tkhd;
+    assert_eq!((tkhd.width.integer(), tkhd.height.integer()), (64, 42));
+    let output = planecast(dir.path(), &format!("fly hills.pcast -o film.mp4 {how} 64x42"));
+    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[cfg(any(feature = "h264", feature = "av1"))]
+#[test]
+fn join_of_parts_is_the_film_made_at_once() {
+    let dir = workplace();
+    let how = "--size 64x36 --device cpu --shading none";
+    let plan = succeeds(dir.path(), "fly hills.pcast -o once.mp4 --plan --frames 60 --size 64x36");
+    assert_eq!(plan, "{\"frames\":60,\"segment\":24}\n");
+    succeeds(dir.path(), &format!("fly hills.pcast -o once.mp4 --frames 60 {how}"));
+    for (name, range) in [("c", "48..60/60"), ("a", "0..24/60"), ("b", "24..48/60"), ("d", "20..60/60")] {
+        succeeds(dir.path(), &format!("fly hills.pcast -o {name}.mp4 --frames {range} {how}"));
+    }
+    let (_, said) = fails(dir.path(), "join a.mp4 c.mp4 -o film.mp4");
+    assert!(said.starts_with("frames 24..48 of the film's 60 are in none of the parts"), "{said}");
+    let (_, said) = fails(dir.path(), "join a.mp4 d.mp4 -o film.mp4");
+    assert!(said.contains("d.mp4: has frames 20..60, some of which a.mp4 has too"), "{said}");
+    let (_, said) = fails(dir.path(), "join once.mp4 -o film.mp4");
+    assert!(said.starts_with("once.mp4: is not a part of a film"), "{said}");
+    succeeds(dir.path(), "join c.mp4 a.mp4 b.mp4 -o film.mp4");
+    assert!(fs::read(dir.path().join("film.mp4")).unwrap() == fs::read(dir.path().join("once.mp4")).unwrap());
+}
+
+#[test]
+fn fly_to_one_folder_by_parts_leaves_the_frames_of_the_film() {
+    let dir = workplace();
+    let how = "--size 32x20 --device cpu";
+    succeeds(dir.path(), &format!("fly hills.pcast -o whole --frames 5 {how}"));
+    for range in ["3..5/5", "0..3/5"] {
+        succeeds(dir.path(), &format!("fly hills.pcast -o parts --frames {range} {how}"));
+    }
+    assert_eq!(names(&dir.path().join("parts")), names(&dir.path().join("whole")));
+    for name in names(&dir.path().join("whole")) {
+        let bytes = |folder: &str| fs::read(dir.path().join(folder).join(&name)).unwrap();
+        assert!(bytes("parts") == bytes("whole"), "{name}");
+    }
+}
+
+#[test]
+fn fly_by_ffmpeg_says_when_it_is_not_there() {
+    let dir = workplace();
+    let line = "fly hills.pcast -o film.mkv --frames 3 --size 64x36 --device cpu --encoder ffmpeg";
+    let run = |path: Option<&str>, line: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_planecast"));
+        path.into_iter().for_each(|path| _ = command.env("PATH", path));
+        command.args(line.split_whitespace()).current_dir(dir.path()).output().unwrap()
+    };
+    let output = run(Some("/nowhere"), line);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("no program ffmpeg is in the PATH"), "{said}");
+    if Command::new("ffmpeg").arg("-version").output().is_err() {
+        eprintln!("skipped: films by ffmpeg, which is not installed here");
+        return;
+    }
+    let output = run(None, line);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(fs::read(dir.path().join("film.mkv")).unwrap().starts_with(&[0x1a, 0x45, 0xdf, 0xa3]));
+    let output = run(None, &format!("{line}:-c:v=nosuch").replace("film.mkv", "other.mkv"));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && said.contains("--encoder ffmpeg: ffmpeg ended with"), "{said}");
+    assert_eq!(names(dir.path()), ["film.mkv", "hills.pcast"]);
 }
 
 #[test]

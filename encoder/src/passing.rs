@@ -55,7 +55,8 @@ impl Unfinished {
         Unfinished::named(target)
     }
 
-    fn named(target: &Path) -> Result<Unfinished> {
+    /// For a file `target` that another program writes, under the name that [`Unfinished::path`] says.
+    pub fn named(target: &Path) -> Result<Unfinished> {
         let create = |path: PathBuf| -> Result<Unfinished> {
             // Before there is a file: between its making and a later word an end of the program would leave it.
             let passing = Passing::new(&path);
@@ -72,6 +73,11 @@ impl Unfinished {
 
     pub fn file(&self) -> &File {
         &self.file
+    }
+
+    /// Its passing name, if it has one.
+    pub fn path(&self) -> Option<&Path> {
+        self.named.as_ref().map(|named| named.path.as_path())
     }
 
     /// Brings the file to the disk and gives it its name, in place of a file that may have had it.

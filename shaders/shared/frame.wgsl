@@ -80,3 +80,9 @@ fn is_cut_short() -> bool {
     }
     return turns < 8u;
 }
+
+// The pixel of a lane in a workgroup of 16 × 16: 32 lanes in a row have 8 × 4 of them, which read the same columns more often
+// than 16 × 2 do.
+fn pixel_of(group: vec2<u32>, lane: u32) -> vec2<u32> {
+    return 16u * group + vec2((lane & 7u) | ((lane >> 2u) & 8u), ((lane >> 3u) & 3u) | ((lane >> 4u) & 12u));
+}

@@ -100,12 +100,29 @@ pub struct Pipeline {
 impl Engine {
     /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`, `WGPU_BACKEND`), else the most powerful.
     pub fn new(trusted: bool) -> Result<Engine> {
-        let adapter = Engine::choose(&instance(), None)?;
+        Engine::on(&Engine::choose(&instance(), None)?, trusted)
+    }
+
+    /// Opens an adapter.
+    pub fn on(adapter: &wgpu::Adapter, trusted: bool) -> Result<Engine> {
         let info = adapter.get_info();
-        let opened = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)));
+        let opened = pollster::block_on(adapter.request_device(&Engine::wishes(adapter)));
         let (device, queue) = opened
             .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
         Ok(Engine::with_device(Device::watched(info, device, queue), trusted))
+    }
+
+    /// All adapters of the kind of the most powerful: through the same API, as one device may be there through several, and
+    /// software only where that one is.
+    pub fn adapters(instance: &wgpu::Instance) -> Result<Vec<wgpu::Adapter>> {
+        let best = Engine::choose(instance, None)?.get_info();
+        let software = |info: &wgpu::AdapterInfo| info.device_type == wgpu::DeviceType::Cpu;
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        adapters.retain(|a| {
+            let info = a.get_info();
+            info.backend == best.backend && software(&info) == software(&best)
+        });
+        Ok(adapters)
     }
 
     /// The adapter that the environment names, else the most powerful; one that can draw on `surface`.

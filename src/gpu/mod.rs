@@ -81,6 +81,9 @@ pub struct GpuOptions {
     /// 1 to 2 % and `invocation` as long as all else. Software devices always count: that is how they tell of walks that
     /// they cut short.
     pub count: bool,
+    /// Whether frames' [`Stats`] say how long each stage took on the device, and not only their sum. Stages are then passes of
+    /// their own: 4 to 8 % of a frame's time on an H200.
+    pub stage_times: bool,
     /// Lanes of a workgroup: a multiple of 32 up to 256 for `workgroup`, a power of two up to 64 for `invocation`; `None`
     /// for the kernel's own.
     pub lanes: Option<u32>,
@@ -99,6 +102,7 @@ impl Default for GpuOptions {
             trusted: !cfg!(debug_assertions),
             proved_uniform: cfg!(target_arch = "wasm32"),
             count: true,
+            stage_times: true,
             lanes: None,
             in_flight: 3,
             workgroup_memory: u32::MAX,
@@ -119,6 +123,12 @@ pub struct GpuRenderer {
     pending: VecDeque<Pending>,
     /// Read-back buffers that no frame is using.
     free: Vec<wgpu::Buffer>,
+    /// Frames whose memory later ones take.
+    spare: Vec<Frame>,
+    /// What was worked out for frames to come, in their order.
+    prepared: VecDeque<Prepared>,
+    /// Whether frames that are read back have depths.
+    depth: bool,
     shown: present::Shown,
     /// Of frames that are shown, and of the picture in the buffer `shaded`.
     live_order: ByteOrder,
@@ -170,6 +180,33 @@ struct Drawing {
     setup_ms: f64,
 }
 
+/// What the host works out of a frame before it is sent.
+struct Prepared {
+    camera: Camera,
+    options: Options,
+    setup: Setup,
+    upload: Upload,
+}
+
+impl Prepared {
+    fn new(resident: &Resident, camera: &Camera, options: &Options) -> Prepared {
+        let setup = plane_setup(resident, camera, options);
+        let upload = Upload::new(resident, &setup, camera, options);
+        Prepared { camera: *camera, options: *options, setup, upload }
+    }
+
+    fn is_of(&self, camera: &Camera, options: &Options) -> bool {
+        (&self.camera, &self.options) == (camera, options)
+    }
+}
+
+/// Where a frame's stages are recorded.
+struct Recorder {
+    /// One pass for all stages; else each has its own. Dropped before what it records into.
+    pass: Option<wgpu::ComputePass<'static>>,
+    encoder: wgpu::CommandEncoder,
+}
+
 /// Tells when a read-back buffer is mapped.
 type Mapped = mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>;
 
@@ -185,6 +222,15 @@ struct Parts {
     end: u64,
     /// Entries of the counters.
     n_counters: usize,
+    /// Times are those of each stage, not of all.
+    stage_times: bool,
+}
+
+/// A vector's memory with other values.
+fn refilled<T: bytemuck::Pod>(mut memory: Vec<T>, bytes: &[u8]) -> Vec<T> {
+    memory.clear();
+    memory.extend_from_slice(bytemuck::cast_slice(bytes));
+    memory
 }
 
 /// Timestamps: begin and end of traverse, remap and shade.
@@ -228,6 +274,14 @@ impl GpuRenderer {
         GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
     }
 
+    /// One on every adapter ([`Engine::adapters`]).
+    pub fn on_all(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<Vec<GpuRenderer>> {
+        let open = |adapter: &wgpu::Adapter| {
+            GpuRenderer::with_engine(scene, resident, options, || Engine::on(adapter, options.trusted))
+        };
+        Engine::adapters(&engine::instance())?.iter().map(open).collect()
+    }
+
     fn with_engine(
         scene: &Arc<Scene>,
         resident: &Arc<Resident>,
@@ -269,6 +323,9 @@ impl GpuRenderer {
             queries,
             pending,
             free,
+            spare: Vec::new(),
+            prepared: VecDeque::new(),
+            depth: true,
             shown,
             live_order,
             shaded_order,
@@ -310,6 +367,24 @@ impl GpuRenderer {
         self.options.count = count || self.engine.software;
     }
 
+    /// Times stages one by one or not ([`GpuOptions::stage_times`]) from the next frame on.
+    pub fn set_stage_times(&mut self, stage_times: bool) {
+        self.options.stage_times = stage_times;
+    }
+
+    /// Whether frames have depths from the next on; without them there is half as much to read back.
+    pub fn set_depth(&mut self, depth: bool) {
+        self.depth = depth;
+    }
+
+    /// Gives a frame back that is done with: a later one takes its memory, already touched.
+    pub fn reuse(&mut self, frame: Option<Frame>) {
+        // More are never on their way at once.
+        if self.spare.len() < self.options.in_flight.max(1) {
+            self.spare.extend(frame);
+        }
+    }
+
     /// Draws one frame. Frames submitted before are drawn first and must have been collected.
     pub fn render(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         assert!(self.pending.is_empty(), "frames on their way must be collected first");
@@ -333,6 +408,29 @@ impl GpuRenderer {
             Pending::Done(frame) => Ok(*frame),
             Pending::Drawing(drawing) => self.finish(*drawing),
         })
+    }
+
+    /// As [`GpuRenderer::collect`]; meanwhile other threads work out what the host has to know of the next few of `cameras`.
+    pub fn collect_and_prepare(&mut self, cameras: &[Camera], options: &Options) -> Option<Result<Frame>> {
+        /// As many at a time, so that each thread has one whole.
+        const AHEAD: usize = 4;
+        let known = |camera: &Camera| self.prepared.iter().any(|p| p.is_of(camera, options));
+        if cameras.first().is_none_or(known) {
+            return self.collect();
+        }
+        let resident = self.resident;
+        let mut made: Vec<Option<Prepared>> = cameras.iter().take(AHEAD).map(|_| None).collect();
+        let collected = rayon::in_place_scope(|scope| {
+            for (made, camera) in made.iter_mut().zip(cameras) {
+                // What cannot be drawn is told of when its turn comes.
+                scope.spawn(move |_| {
+                    *made = check(camera, options).is_ok().then(|| Prepared::new(resident, camera, options))
+                });
+            }
+            self.collect()
+        });
+        self.prepared = made.into_iter().flatten().collect();
+        collected
     }
 
     /// Sends one frame to the device and returns at once; [`GpuRenderer::collect`] gives frames in the order of submission.
@@ -432,18 +530,22 @@ impl GpuRenderer {
             frame.stats.bytes_scene_gpu = self.tables.bytes;
             return Ok(Drawn::Inside(Box::new(frame)));
         }
-        let setup = plane_setup(&self.resident, camera, options);
+        let Prepared { setup, upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
+            Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
+            None => Prepared::new(&self.resident, camera, options),
+        };
         self.check_steps(&setup, options)?;
-        let upload = Upload::new(&self.resident, &setup, camera, options);
         let plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
         self.upload(&upload, camera, options.ssao_samples);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let pass = (!plan.stage_times).then(|| self.pass(&mut encoder, "frame", 0).forget_lifetime());
+        let mut recorder = Recorder { pass, encoder };
         match begin {
             Begin::Traverse => {
-                self.traverse(&mut encoder, &plan, options)?;
-                self.remap(&mut encoder, &plan)?;
+                self.traverse(&mut recorder, &plan, options)?;
+                self.remap(&mut recorder, &plan)?;
             }
             Begin::Planes(buffer) => {
                 self.write("plane_color", bytemuck::cast_slice(&buffer.color));
@@ -451,16 +553,19 @@ impl GpuRenderer {
                 if plan.plane_voxel {
                     self.write("plane_voxel", bytemuck::cast_slice(&buffer.voxel));
                 }
-                self.remap(&mut encoder, &plan)?;
+                self.remap(&mut recorder, &plan)?;
             }
             Begin::Image { color, depth } => {
                 self.write("image_color", bytemuck::cast_slice(color));
                 self.write("image_depth", bytemuck::cast_slice(depth));
             }
         }
-        self.shade(&mut encoder, &plan, order)?;
+        self.shade(&mut recorder, &plan, order)?;
+        let Recorder { pass, mut encoder } = recorder;
+        drop(pass);
         if let Some(queries) = &self.queries {
-            encoder.resolve_query_set(queries, 0..TIMES, &self.buffers["times"], 0);
+            let times = if plan.stage_times { TIMES } else { 2 };
+            encoder.resolve_query_set(queries, 0..times, &self.buffers["times"], 0);
         }
         self.engine.queue.submit([encoder.finish()]);
         let setup_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -519,6 +624,7 @@ struct Plan {
     gap_fill: bool,
     n_counters: u32,
     count: bool,
+    stage_times: bool,
     shading: Shading,
     ssao_samples: u32,
     specialization: Specialization,
@@ -558,6 +664,7 @@ impl Plan {
             gap_fill: options.gap_fill,
             n_counters: 0,
             count: gpu.count,
+            stage_times: gpu.stage_times,
             shading: options.shading,
             ssao_samples: options.ssao_samples,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
@@ -617,7 +724,7 @@ impl Plan {
     }
 
     /// What is read back, with the picture or only the figures.
-    fn parts(&self, picture: bool) -> Parts {
+    fn parts(&self, picture: bool, depth: bool) -> Parts {
         let n_counters = if self.count { self.n_counters } else { 0 };
         let pixels = if picture { self.pixels() } else { 0 };
         let mut at = 0u64;
@@ -628,13 +735,14 @@ impl Plan {
         };
         Parts {
             color: take(4 * pixels),
-            depth: take(4 * pixels),
+            depth: take(if depth { 4 * pixels } else { 0 }),
             voxel: take(if self.image_voxel { 16 * pixels } else { 0 }),
             counters: take(12 * u64::from(n_counters)),
             holes: take(4),
             times: take(8 * u64::from(TIMES)),
             end: at,
             n_counters: n_counters as usize,
+            stage_times: self.stage_times,
         }
     }
 }
@@ -751,11 +859,25 @@ impl GpuRenderer {
         })
     }
 
+    /// Records a stage, in the frame's pass or in one of its own.
+    fn record(
+        &self,
+        recorder: &mut Recorder,
+        label: &str,
+        stage: u32,
+        record: impl FnOnce(&mut wgpu::ComputePass<'_>),
+    ) {
+        match &mut recorder.pass {
+            Some(pass) => record(pass),
+            None => record(&mut self.pass(&mut recorder.encoder, label, stage)),
+        }
+    }
+
     fn variant(&self, defines: &[&'static str]) -> Variant {
         Variant { defines: defines.to_vec(), pages: self.tables.pages }
     }
 
-    fn traverse(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan, options: &Options) -> Result<()> {
+    fn traverse(&mut self, recorder: &mut Recorder, plan: &Plan, options: &Options) -> Result<()> {
         let on = |b: bool| f64::from(u8::from(b));
         let culling = options.culling;
         let voxel = if plan.kernel == Kernel::Raycast { plan.image_voxel } else { plan.plane_voxel };
@@ -802,16 +924,15 @@ impl GpuRenderer {
             Kernel::Raycast => ("raycast", [groups(plan.width, 8), groups(plan.height, 8)]),
         };
         let pipeline = self.engine.pipeline(name, &self.variant(&defines), &constants)?;
-        let mut pass = self.pass(encoder, "traverse", 0);
-        self.dispatch(&mut pass, &pipeline, &[], groups);
+        self.record(recorder, "traverse", 0, |pass| self.dispatch(pass, &pipeline, &[], groups));
         Ok(())
     }
 
-    fn remap(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan) -> Result<()> {
+    fn remap(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
         if plan.kernel == Kernel::Raycast {
-            drop(self.pass(encoder, "remap", 1));
+            self.record(recorder, "remap", 1, |_| ());
             return Ok(());
         }
         if !plan.gathers() {
@@ -829,27 +950,29 @@ impl GpuRenderer {
                 true => Some(self.engine.pipeline("refine", &self.variant(&plan.defines()), &constants)?),
                 false => None,
             };
-            let mut pass = self.pass(encoder, "remap", 1);
-            self.dispatch(&mut pass, &pipeline, &[], grid);
-            if let Some(refine) = refine {
-                self.dispatch(&mut pass, &refine, &[], grid);
-            }
+            self.record(recorder, "remap", 1, |pass| {
+                self.dispatch(pass, &pipeline, &[], grid);
+                if let Some(refine) = refine {
+                    self.dispatch(pass, &refine, &[], grid);
+                }
+            });
             return Ok(());
         }
         let index = self.engine.pipeline("remap", &self.variant(&["INDEX"]), &[voxel])?;
         let gather = self.engine.pipeline("remap", &self.variant(&["GATHER"]), &[voxel])?;
         let fill = self.engine.pipeline("gap_fill", &self.variant(&[]), &[])?;
-        let mut pass = self.pass(encoder, "remap", 1);
-        self.dispatch(&mut pass, &index, &[], grid);
-        if plan.gap_fill {
-            self.dispatch(&mut pass, &fill, &[("before", "index"), ("index", "filled")], grid);
-        }
-        let chosen = if plan.gap_fill { "filled" } else { "index" };
-        self.dispatch(&mut pass, &gather, &[("index", chosen)], grid);
+        self.record(recorder, "remap", 1, |pass| {
+            self.dispatch(pass, &index, &[], grid);
+            if plan.gap_fill {
+                self.dispatch(pass, &fill, &[("before", "index"), ("index", "filled")], grid);
+            }
+            let chosen = if plan.gap_fill { "filled" } else { "index" };
+            self.dispatch(pass, &gather, &[("index", chosen)], grid);
+        });
         Ok(())
     }
 
-    fn shade(&mut self, encoder: &mut wgpu::CommandEncoder, plan: &Plan, order: ByteOrder) -> Result<()> {
+    fn shade(&mut self, recorder: &mut Recorder, plan: &Plan, order: ByteOrder) -> Result<()> {
         let normals = matches!(plan.shading, Shading::Ssn | Shading::Full);
         let occlusion = matches!(plan.shading, Shading::Ssao | Shading::Full);
         let on = |b: bool| f64::from(u8::from(b));
@@ -858,16 +981,15 @@ impl GpuRenderer {
         let constants =
             [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
         let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
-        let mut pass = self.pass(encoder, "shade", 2);
-        self.dispatch(&mut pass, &pipeline, &[], [groups(plan.width, 16), groups(plan.height, 16)]);
-        drop(pass);
+        let grid = [groups(plan.width, 16), groups(plan.height, 16)];
+        self.record(recorder, "shade", 2, |pass| self.dispatch(pass, &pipeline, &[], grid));
         self.shaded_order = order;
         Ok(())
     }
 
     /// Copies what is asked for into a read-back buffer and asks for it to be mapped; does not wait.
     fn read_back(&mut self, plan: &Plan, frame: Frame, start: Instant, setup_ms: f64) -> Result<()> {
-        let parts = plan.parts(true);
+        let parts = plan.parts(true, self.depth);
         let place = self.free.iter().position(|b| b.size() >= parts.end);
         let readback = match place {
             Some(i) => self.free.swap_remove(i),
@@ -901,7 +1023,7 @@ impl GpuRenderer {
             }
         };
         copy("shaded", parts.color, 4 * pixels);
-        copy("image_depth", parts.depth, 4 * pixels);
+        copy("image_depth", parts.depth, if parts.voxel > parts.depth { 4 * pixels } else { 0 });
         copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
         copy("scratch", parts.counters, 12 * parts.n_counters as u64);
         copy("holes", parts.holes, 4);
@@ -927,11 +1049,12 @@ impl GpuRenderer {
             let bytes = readback.get_mapped_range(..parts.end).map_err(|e| lost(e.to_string()))?;
             let part = |from: u64, n: usize| &bytes[from as usize..from as usize + n];
             let pixels = frame.width as usize * frame.height as usize;
-            frame.color = bytemuck::cast_slice(part(parts.color, 4 * pixels)).to_vec();
-            frame.depth = bytemuck::cast_slice(part(parts.depth, 4 * pixels)).to_vec();
-            if parts.counters > parts.voxel {
-                frame.voxel = bytemuck::cast_slice(part(parts.voxel, 16 * pixels)).to_vec();
-            }
+            let spare = self.spare.pop();
+            let (color, depth, voxel) = spare.map(|f| (f.color, f.depth, f.voxel)).unwrap_or_default();
+            frame.color = refilled(color, part(parts.color, 4 * pixels));
+            frame.depth = refilled(depth, part(parts.depth, if parts.voxel > parts.depth { 4 * pixels } else { 0 }));
+            frame.voxel =
+                refilled(voxel, part(parts.voxel, if parts.counters > parts.voxel { 16 * pixels } else { 0 }));
             whole = self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
         }
         readback.unmap();
@@ -947,7 +1070,7 @@ impl GpuRenderer {
         (stats.columns_visited, stats.runs_visited, stats.spans_drawn) = (sum(0), sum(1), sum(2));
         stats.holes = u64::from(bytemuck::pod_read_unaligned::<u32>(part(parts.holes, 4)));
         let times: Vec<u64> = bytemuck::pod_collect_to_vec(part(parts.times, 8 * TIMES as usize));
-        stats.gpu_ms = Some(self.stage_times(&times, setup_ms, start));
+        stats.gpu_ms = Some(self.stage_times(&times, parts.stage_times, setup_ms, start));
         match counters.iter().filter(|c| c[0] == CUT_SHORT).count() {
             0 => Ok(()),
             n => Err(Error::Limit(format!(
@@ -960,13 +1083,16 @@ impl GpuRenderer {
         }
     }
 
-    /// Milliseconds by stage; without timestamps only what the host sees.
-    fn stage_times(&self, times: &[u64], setup: f64, start: Instant) -> StageTimes {
+    /// Milliseconds by stage, or of all; without timestamps only what the host sees.
+    fn stage_times(&self, times: &[u64], by_stage: bool, setup: f64, start: Instant) -> StageTimes {
         let Some(tick) = self.engine.tick_ns else {
             return StageTimes { setup, total: start.elapsed().as_secs_f64() * 1e3, ..StageTimes::default() };
         };
         // Some drivers order timestamps wrongly (wgpu issue 5660).
         let between = |from: u64, to: u64| to.saturating_sub(from) as f64 * f64::from(tick) * 1e-6;
+        if !by_stage {
+            return StageTimes { setup, total: between(times[0], times[1]), ..StageTimes::default() };
+        }
         let stage = |s: usize| between(times[2 * s], times[2 * s + 1]);
         StageTimes { setup, traverse: stage(0), remap: stage(1), shade: stage(2), total: between(times[0], times[5]) }
     }

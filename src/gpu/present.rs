@@ -125,7 +125,7 @@ impl GpuRenderer {
             }
             Drawn::Sent(sent) if self.shown.waiting.len() < WAITING => {
                 let Sent { plan, frame, start, setup_ms } = *sent;
-                let parts = plan.parts(false);
+                let parts = plan.parts(false, false);
                 let fits = |b: &wgpu::Buffer| b.size() >= parts.end;
                 let readback = match self.shown.free.iter().position(fits) {
                     Some(i) => self.shown.free.swap_remove(i),

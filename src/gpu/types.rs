@@ -4,9 +4,10 @@ use crate::camera::Camera;
 use crate::cpu::remap::Row;
 use crate::cpu::shade::ShadeParams;
 use crate::options::Options;
-use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
+use crate::plane_setup::{AT_ONCE, DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
 use crate::resident::Resident;
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
 /// Levels a scene can have on the GPU: an extent of 2³¹ halves down to 1.
 pub const MAX_LEVELS: usize = 32;
@@ -163,7 +164,7 @@ impl Upload {
     /// Rounds a frame's setup to what the shaders read, once, from the f64 of the host.
     pub fn new(resident: &Resident, setup: &Setup, camera: &Camera, options: &Options) -> Upload {
         let mut up = Upload { frame: frame_params(resident, setup, camera, options), ..Upload::default() };
-        up.planes = setup.planes.iter().map(Plane::new).collect();
+        up.planes = setup.planes.par_iter().with_min_len(AT_ONCE).map(Plane::new).collect();
         for (plane, turn) in up.planes.iter_mut().zip(turns(setup, &up.frame)) {
             plane.turn = turn;
         }
@@ -172,7 +173,7 @@ impl Upload {
             if setup.fans[f].n_planes > 0 && setup.fans[f].readjusted.is_some() {
                 // In elements of 16 bytes: a line takes two.
                 up.frame.fans[f].bounds = 2 * (camera.height + 2 * camera.width) + up.stripes.len() as u32;
-                up.stripes.extend(stripes(&setup.fans[f]));
+                up.stripes.par_extend(stripes(&setup.fans[f]));
             }
         }
         up.lines(setup, camera);
@@ -184,7 +185,7 @@ impl Upload {
         let [vx, vy, vw] = setup.vanishing;
         let (w, h) = (camera.width, camera.height);
         self.lines.reserve((h + 2 * w) as usize);
-        for y in 0..h {
+        let row = |y: u32| {
             let [_, middle, _] = Row::new(setup, y, w).stretches();
             let fan = &setup.fans[middle.fan];
             let center = f64::from(y) + 0.5;
@@ -196,8 +197,9 @@ impl Upload {
             let mut line = fan_line(fan, at, scale, middle.from as i32, narrow);
             line.to = middle.to as i32;
             line.fan = middle.fan as u32;
-            self.lines.push(line);
-        }
+            line
+        };
+        self.lines.par_extend((0..h).into_par_iter().with_min_len(AT_ONCE).map(row));
         // Near the vanishing point's height, where values are small.
         let anchor = if vw > 0.0 { (vy / vw).clamp(0.0, f64::from(h - 1)) as i32 } else { 0 };
         let y = f64::from(anchor) + 0.5;
@@ -207,13 +209,14 @@ impl Upload {
                 self.lines.extend(std::iter::repeat_n(Line::default(), w as usize));
                 continue;
             }
-            for x in 0..w {
+            let column = |x: u32| {
                 let center = f64::from(x) + 0.5;
                 let dx = vx - center * vw;
                 let across = if dx == 0.0 { 0.0 } else { (fan.far - center) / dx };
                 let narrow = narrowing(dx, vx - fan.far * vw);
-                self.lines.push(fan_line(fan, y + across * (vy - y * vw), 1.0 - across * vw, anchor, narrow));
-            }
+                fan_line(fan, y + across * (vy - y * vw), 1.0 - across * vw, anchor, narrow)
+            };
+            self.lines.par_extend((0..w).into_par_iter().with_min_len(AT_ONCE).map(column));
         }
     }
 }
@@ -234,9 +237,9 @@ fn turns(setup: &Setup, frame: &FrameParams) -> Vec<u32> {
         }
         (end - p.t_start).max(1.0).log2() as u32
     };
-    let reaches: Vec<u32> = setup.planes.iter().map(reach).collect();
+    let reaches: Vec<u32> = setup.planes.par_iter().with_min_len(AT_ONCE).map(reach).collect();
     let mut turns: Vec<u32> = (0..setup.planes.len() as u32).collect();
-    turns.sort_by_key(|&p| std::cmp::Reverse(reaches[p as usize]));
+    turns.par_sort_by_key(|&p| std::cmp::Reverse(reaches[p as usize]));
     turns
 }
 
@@ -253,13 +256,14 @@ fn fan_line(fan: &Fan, at: f64, step: f64, anchor: i32, narrow: f64) -> Line {
 }
 
 /// Start and middle of each stripe of a fan whose stripes differ in width, as places on the far edge.
-fn stripes(fan: &Fan) -> impl Iterator<Item = [[u32; 2]; 2]> + '_ {
+fn stripes(fan: &Fan) -> impl IndexedParallelIterator<Item = [[u32; 2]; 2]> + '_ {
     let r = fan.readjusted.expect("only fans whose stripes differ have bounds");
     let place = move |half: f64| {
         let at = fixed(r.centre + r.distance * uncrowd(r.start + half * 0.5 * r.step));
         [(at >> 32) as u32, at as u32]
     };
-    (0..fan.n_planes).map(move |k| [f64::from(2 * k), f64::from(2 * k + 1)].map(place))
+    let pair = move |k: u32| [f64::from(2 * k), f64::from(2 * k + 1)].map(place);
+    (0..fan.n_planes).into_par_iter().with_min_len(AT_ONCE).map(pair)
 }
 
 impl Plane {

@@ -134,7 +134,7 @@ fn gpu(world: &World, device: Device, tell: &mut dyn FnMut(&str)) -> Result<(Opt
             ));
         }
         Device::Auto if open(Device::Auto, tell)?.name() != "gpu" => return Ok((None, Vec::new())),
-        Device::Auto | Device::Gpu => {}
+        Device::Auto | Device::Gpu | Device::AllGpus => {}
     }
     let name = open(Device::Gpu, tell)?.adapter();
     Ok((name, Renderer::gpu_kernels()))

@@ -216,7 +216,7 @@ impl App {
             (Device::Exact, _) => only("exact").map(|()| Draws::Exact)?,
             (Device::Cpu, _) => only("planes").map(|()| Draws::Cpu)?,
             (Device::Auto, _) if kernel == Some("planes") => Draws::Cpu,
-            (Device::Gpu, Ok(_)) => Draws::Gpu(gpu_kernel()?),
+            (Device::Gpu | Device::AllGpus, Ok(_)) => Draws::Gpu(gpu_kernel()?),
             (Device::Auto, Ok(canvas)) if !canvas.device.is_software() => Draws::Gpu(gpu_kernel()?),
             (Device::Auto, Ok(canvas)) if kernel.is_none() => {
                 self.notes
@@ -228,7 +228,7 @@ impl App {
                 self.notes.push(format!("drawing on the cpu: {e}"));
                 Draws::Cpu
             }
-            (Device::Auto | Device::Gpu, Err(e)) => return Err(Error::Device(e.to_string())),
+            (Device::Auto | Device::Gpu | Device::AllGpus, Err(e)) => return Err(Error::Device(e.to_string())),
         };
         Ok(match canvas {
             Ok(canvas) => Surface::Gpu(Box::new(canvas)),

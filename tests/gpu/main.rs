@@ -377,6 +377,91 @@ fn shade_of_the_same_image_gives_the_same_colours() {
     }
 }
 
+/// Two adapters: the software device, and a copy of its driver. In a process of its own, as drivers are loaded once.
+#[test]
+#[cfg(target_os = "linux")]
+fn all_gpus_draw_the_frames_of_one_in_order() {
+    if !gpu_wanted() {
+        return;
+    }
+    let icd = std::path::Path::new("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json");
+    let Ok(text) = std::fs::read_to_string(icd) else {
+        eprintln!("skipped: {} is not there, two software adapters cannot be made of it", icd.display());
+        return;
+    };
+    let path = text.split('"').find(|s| s.ends_with(".so")).unwrap();
+    let path = if path.starts_with('/') { path.to_owned() } else { format!("/usr/lib/x86_64-linux-gnu/{path}") };
+    let dir = tempfile::tempdir().unwrap();
+    let (copy, second) = (dir.path().join("libsecond.so"), dir.path().join("second.json"));
+    std::fs::copy(&path, &copy).unwrap();
+    std::fs::write(
+        &second,
+        text.replace(text.split('"').find(|s| s.ends_with(".so")).unwrap(), copy.to_str().unwrap()),
+    )
+    .unwrap();
+    let both = format!("{}:{}", icd.display(), second.display());
+    let child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["child_draws_on_all_gpus", "--exact", "--ignored", "--nocapture"])
+        .env("VK_ICD_FILENAMES", &both)
+        .env("VK_DRIVER_FILES", &both)
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&child.stderr).into_owned() + &String::from_utf8_lossy(&child.stdout);
+    assert!(child.status.success() && text.contains("drawing on 2 gpus"), "{text}");
+}
+
+#[test]
+#[ignore = "run by all_gpus_draw_the_frames_of_one_in_order"]
+fn child_draws_on_all_gpus() {
+    let world = rocks();
+    let cameras: Vec<Camera> = poses(&world).into_iter().cycle().take(20).collect();
+    let draw = |device: Device| -> Vec<_> {
+        let mut tell = |text: &str| println!("{text}");
+        let mut renderer = Renderer::new(&world.scene, &world.resident, device, None, &mut tell).unwrap();
+        renderer.set_depth(false);
+        let mut draw = |i: usize| {
+            let frame = renderer.draw_first(&cameras[i..], &flat(), Outputs::default(), &mut |_| ()).unwrap();
+            let color = frame.color.clone();
+            renderer.reuse(Some(frame));
+            color
+        };
+        (0..cameras.len()).map(&mut draw).collect()
+    };
+    assert!(draw(Device::AllGpus) == draw(Device::Gpu));
+}
+
+#[test]
+fn films_frames_are_the_same_pictures_in_one_pass_without_depths_in_used_memory() {
+    if !gpu_wanted() {
+        return;
+    }
+    let world = rocks();
+    let mut cameras = poses(&world);
+    cameras[2].eye.y = 0.5; // inside a voxel
+    (cameras[5].width, cameras[5].height) = (50, 120);
+    let alone: Vec<_> = {
+        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+        cameras.iter().map(|c| gpu.render(c, &Options::default(), Outputs::default()).unwrap()).collect()
+    };
+    assert!(alone[0].stats.gpu_ms.unwrap().traverse > 0.0);
+    let mut tell = |text: &str| panic!("{text}");
+    let mut renderer = Renderer::new(&world.scene, &world.resident, Device::Gpu, None, &mut tell).unwrap();
+    renderer.set_count(false);
+    renderer.set_depth(false);
+    for (i, right) in alone.iter().enumerate() {
+        let frame = renderer.draw_first(&cameras[i..], &Options::default(), Outputs::default(), &mut tell).unwrap();
+        assert!(frame.color == right.color, "frame {i}");
+        assert!(frame.depth.is_empty() || right.stats.kernel == "inside", "frame {i}");
+        let times = frame.stats.gpu_ms.unwrap();
+        assert!(times.traverse == 0.0 && (times.total > 0.0 || right.stats.kernel == "inside"), "{times:?}");
+        renderer.reuse(Some(frame));
+    }
+    // And with depths again, in the same memory.
+    renderer.set_depth(true);
+    let frame = renderer.draw(&cameras[0], &Options::default(), Outputs::default(), &mut tell).unwrap();
+    assert!(frame.color == alone[0].color && frame.depth == alone[0].depth);
+}
+
 #[test]
 fn checked_and_trusted_shaders_draw_equal_pictures() {
     if !gpu_wanted() {
