@@ -94,12 +94,16 @@ pub fn write(path: &Path, content: impl FnOnce(&mut BufWriter<&File>) -> io::Res
     Ok(Pending { temp, _passing: passing, path })
 }
 
-/// A frame's colours as PNG, 8-bit sRGB.
+/// A frame's colours as PNG, 8-bit sRGB; with alpha where some are transparent.
 pub fn png(out: &mut impl Write, frame: &Frame) -> io::Result<()> {
     use image::ImageEncoder;
-    let rgb: Vec<u8> = frame.color.iter().flat_map(|c| [c[0], c[1], c[2]]).collect();
+    let opaque = frame.color.iter().all(|c| c[3] == 255);
+    let (bytes, kind): (Vec<u8>, _) = match opaque {
+        true => (frame.color.iter().flat_map(|c| [c[0], c[1], c[2]]).collect(), image::ExtendedColorType::Rgb8),
+        false => (frame.color.as_flattened().to_vec(), image::ExtendedColorType::Rgba8),
+    };
     let encoder = image::codecs::png::PngEncoder::new(out);
-    encoder.write_image(&rgb, frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(|e| match e {
+    encoder.write_image(&bytes, frame.width, frame.height, kind).map_err(|e| match e {
         image::ImageError::IoError(e) => e,
         e => io::Error::other(e),
     })
@@ -183,6 +187,18 @@ mod tests {
         png(&mut bytes, &frame()).unwrap();
         let back = image::load_from_memory(&bytes).unwrap().into_rgb8();
         assert_eq!((back.dimensions(), back.get_pixel(2, 1).0), ((3, 2), [5, 10, 20]));
+    }
+
+    #[test]
+    fn png_keeps_what_is_transparent() {
+        let mut frame = frame();
+        frame.color[1] = [0; 4];
+        let mut bytes = Vec::new();
+        png(&mut bytes, &frame).unwrap();
+        let back = image::load_from_memory(&bytes).unwrap();
+        assert_eq!(back.color(), image::ColorType::Rgba8);
+        let back = back.into_rgba8();
+        assert_eq!([back.get_pixel(1, 0).0, back.get_pixel(2, 1).0], [[0; 4], [5, 10, 20, 255]]);
     }
 
     #[test]

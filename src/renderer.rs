@@ -23,6 +23,7 @@ pub struct CpuRenderer<'a> {
     color: Vec<u32>,
     index: Vec<u32>,
     doubt: Vec<refine::Doubt>,
+    shade: shade::Scratch,
 }
 
 /// What is wanted beside colour and depth.
@@ -70,6 +71,13 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
     if !(1..=SSAO_SAMPLES_LIMIT).contains(&options.ssao_samples) {
         return argument(format!("{} occlusion samples: must be 1 to {SSAO_SAMPLES_LIMIT}", options.ssao_samples));
     }
+    if let Some([azimuth, elevation]) = options.sun
+        && !(azimuth.is_finite() && (-90.0..=90.0).contains(&elevation))
+    {
+        return argument(format!(
+            "sun at azimuth {azimuth}, elevation {elevation} degrees: must be finite, elevation from -90 to 90"
+        ));
+    }
     if !(options.samples > 0.0 && options.samples <= SAMPLES_LIMIT) {
         let most = SAMPLES_LIMIT * 100.0;
         return argument(format!("{} % of samples: must be above 0 and at most {most} %", options.samples * 100.0));
@@ -98,7 +106,8 @@ fn milliseconds(since: Instant) -> f64 {
 impl<'a> CpuRenderer<'a> {
     pub fn new(scene: &'a Scene, resident: &'a Resident) -> CpuRenderer<'a> {
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
-        CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color, index, doubt }
+        let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
+        CpuRenderer { scene, resident, buffer, color, index, doubt, shade }
     }
 
     /// Draws one frame by forward projection in planes.
@@ -126,7 +135,7 @@ impl<'a> CpuRenderer<'a> {
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
-        shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
+        self.shade(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
 
         frame.stats = frame_stats(self.scene, self.resident, camera, options, "cpu", "planes");
@@ -159,7 +168,7 @@ impl<'a> CpuRenderer<'a> {
         crate::exact::exact(self.scene, self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
-        shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
+        self.shade(camera, options, &mut frame);
         frame.stats = frame_stats(self.scene, self.resident, camera, options, "exact", "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
@@ -168,6 +177,11 @@ impl<'a> CpuRenderer<'a> {
             ..StageTimes::default()
         });
         Ok(frame)
+    }
+
+    fn shade(&mut self, camera: &Camera, options: &Options, frame: &mut Frame) {
+        let params = shade::ShadeParams::new(camera, options);
+        shade::shade(&params, &self.color, &frame.depth, &mut self.shade, &mut frame.color);
     }
 
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {

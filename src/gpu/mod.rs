@@ -558,7 +558,7 @@ impl Plan {
             gap_fill: options.gap_fill,
             n_counters: 0,
             count: gpu.count,
-            shading: options.shading,
+            shading: options.lit(),
             ssao_samples: options.ssao_samples,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
