@@ -58,7 +58,7 @@ const TOUCHED: f64 = 0.1;
 
 /// Greatest share of pixels, in percent, whose own rays meet something else than they show, where cells of coarser levels
 /// are drawn: about a pixel wide, they are tested but not refined.
-const LEVELS: f64 = 15.0;
+const LEVELS: f64 = 20.0;
 
 /// Greatest relative error of depth where rays run almost along a wall. On the GPU directions are f32: the component of one
 /// across the wall is a difference, and wrong by 2⁻²⁴ of the ray's length.
@@ -286,7 +286,7 @@ fn eyes(list: &mut List) {
 fn touches(list: &mut List) {
     let reason = "what the eye touches is met at depth 0 by rays into it, and by no others";
     // Nearer than f32 tells from the face itself.
-    let below = |v: f64| v - 1e-9;
+    let below = |v: f64| v.next_down();
     let block = WorldName::Block;
     let eyes = [
         ("a top face", block, [12.3, 12.0, 12.4]),
@@ -303,10 +303,10 @@ fn touches(list: &mut List) {
         ("a bottom edge", block, [16.0, 8.0, 12.4]),
         ("a bottom corner", block, [16.0, 8.0, 16.0]),
         ("another bottom corner", block, [8.0, 8.0, 16.0]),
-        ("a bottom face, 1e-9 below it", block, [12.3, below(8.0), 12.4]),
-        ("a bottom corner, 1e-9 from it", block, [below(8.0), below(8.0), below(8.0)]),
-        ("the far side across x, 1e-9 from it", block, [below(8.0), 10.4, 12.4]),
-        ("the far side across z, 1e-9 from it", block, [12.3, 10.4, below(8.0)]),
+        ("a bottom face, an ulp below it", block, [12.3, below(8.0), 12.4]),
+        ("a bottom corner, an ulp from it", block, [below(8.0), below(8.0), below(8.0)]),
+        ("the far side across x, an ulp from it", block, [below(8.0), 10.4, 12.4]),
+        ("the far side across z, an ulp from it", block, [12.3, 10.4, below(8.0)]),
         ("a wall from within", WorldName::Room, [1.0, 7.4, 9.4]),
         ("a corner from within", WorldName::Room, [1.0, 1.0, 1.0]),
         // Heights on a wall are known to an f32's step, 2e-6 here: nearer, the voxel beside the true one may be shown.
