@@ -40,14 +40,15 @@ fn cut(voxel: vec4<i32>, inverse: vec3<f32>) -> vec2<f32> {
     return vec2(max(max(near3.x, near3.y), max(near3.z, 0.0)), min(min(far3.x, far3.y), far3.z));
 }
 
-// Depth at which a ray enters a voxel, at least 0; MISS where it does not, or there is none.
+// Depth at which a ray enters a voxel, at least 0; MISS where it does not, or there is none, or the eye touches it and the
+// ray leaves it.
 fn enter(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
     if (voxel.w < 0) {
         return MISS;
     }
     let depth = cut(voxel, inverse);
     // Rounding must not let a ray slip between two voxels.
-    return select(MISS, depth.x, depth.x <= depth.y * (1.0 + 1e-6));
+    return select(MISS, depth.x, depth.x <= depth.y * (1.0 + 1e-6) && depth.y > 0.0);
 }
 
 //!if RETEST
@@ -63,6 +64,9 @@ fn missed_by(voxel: vec4<i32>, inverse: vec3<f32>) -> f32 {
         return -STEEP;
     }
     let depth = cut(voxel, inverse);
+    if (depth.x <= 0.0) {
+        return STEEP;
+    }
     return (depth.x - depth.y) / depth.x;
 }
 

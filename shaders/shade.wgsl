@@ -113,7 +113,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let ray = ray_at(x, y);
     let bits = image_depth[i];
     if (bits == INFINITY) {
-        put(i, pack(sky(ray)));
+        put(i, select(0u, pack(sky(ray)), frame.sky == 1u));
         return;
     }
     let color = image_color[i] | 0xff000000u;
@@ -126,7 +126,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if (NORMALS || OCCLUSION) {
         let n = normal(x, y, z);
         if (NORMALS) {
-            light = AMBIENT + (1.0 - AMBIENT) * (0.25 * dot(n, frame.up) + 0.25 + 0.75 * max(dot(n, frame.sun), 0.0));
+            let sun = max(dot(n, frame.sun), 0.0);
+            light = frame.ambient + (1.0 - frame.ambient) * (0.25 * dot(n, frame.up) + 0.25 + 0.75 * sun);
         }
         if (OCCLUSION) {
             light *= 1.0 - occlusion(x, y, z, n);

@@ -143,7 +143,8 @@ fn walk() {
                         let axis = select(0u, 1u, exit.y < exit.x);
                         cell[axis] = stop[axis];
                     }
-                    t0 = max(t0, t1);
+                    // Not max: of a block that ends where the eye stands t1 is -0, and depths are compared as bits.
+                    t0 = select(t0, t1, t1 > t0);
                     continue;
                 }
             }

@@ -399,6 +399,13 @@ pub struct DrawArgs {
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
+    /// Where a sun stands that lights surfaces, degrees: azimuth clockwise from north (-z), elevation; shows relief [default: soft
+    /// light]
+    #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = sun)]
+    sun: Option<[f64; 2]>,
+    /// The sky in pictures; none leaves it transparent in PNG files
+    #[arg(long, value_enum, value_name = "SKY", default_value = "shown")]
+    sky: SkyArg,
     /// What may be left out where the frame does not need it, for measuring: auto, off, or some of
     /// heights,horizon,bounded,one-level,upright,packed,late-color
     #[arg(long, value_name = "LIST", default_value = "auto")]
@@ -466,6 +473,12 @@ enum ShadingArg {
     Full,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SkyArg {
+    Shown,
+    None,
+}
+
 /// A number of pixels, or off. Its own type, as clap takes an `Option` for a flag that may be left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Lod(Option<f64>);
@@ -477,6 +490,11 @@ pub(crate) fn finite(s: &str) -> Result<f64, String> {
 
 pub(crate) fn positive(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| if v > 0.0 { Ok(v) } else { Err("expected a number above 0".into()) })
+}
+
+fn sun(s: &str) -> Result<[f64; 2], String> {
+    let (azimuth, elevation) = s.split_once(',').ok_or("expected AZIMUTH,ELEVATION in degrees, as 315,45")?;
+    Ok([finite(azimuth)?, pitch(elevation)?])
 }
 
 pub(crate) fn pitch(s: &str) -> Result<f64, String> {
@@ -604,6 +622,8 @@ impl DrawArgs {
             f64_traversal: self.f64,
             ssao_samples: self.ssao_samples,
             fog: self.fog,
+            sun: self.sun,
+            sky: self.sky == SkyArg::Shown,
             specialize: self.specialize,
         };
         self.preset.map_or(options, |preset| preset.options(options))
@@ -688,10 +708,7 @@ impl RenderArgs {
         let (scene, resident) = shared(scene, self.draw.specialize);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
-        let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
-        if self.stats.is_some() && options.readjust && self.draw.device != Device::Exact {
-            frame.stats.readjusted_saves = renderer.spacing_saves(&camera, &options, &mut tell)?;
-        }
+        let frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
 
         let mut files = Vec::new();
         if let Some(path) = named_file(&self.output) {
@@ -1185,7 +1202,7 @@ mod tests {
         assert_eq!(usual, Options::default());
         let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --samples 150% --cull horizon,bits \
                    --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500 \
-                   --specialize heights,upright";
+                   --sun 315,-4.5 --sky none --specialize heights,upright";
         let expected = Options {
             view_distance: 40_000.0,
             repeat: Repeat { x: true, z: true },
@@ -1201,6 +1218,8 @@ mod tests {
             shading: Shading::Ssao,
             ssao_samples: 5,
             fog: Some(2500.0),
+            sun: Some([315.0, -4.5]),
+            sky: false,
             specialize: [crate::Feature::Heights, crate::Feature::Upright].into_iter().collect(),
         };
         assert_eq!(render(all).draw.options(), expected);
@@ -1220,7 +1239,7 @@ mod tests {
     #[test]
     fn cli_flags_that_options_give_draw_with_them() {
         let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --samples 62.5% --cull horizon,coarse \
-                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --specialize heights,packed";
+                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --sky none --specialize heights,packed";
         for flags in ["", all, "--planes 7 --lod off --cull none --repeat xz --shading none"] {
             let options = render(flags).draw.options();
             assert_eq!(render(&options.flags()).draw.options(), options, "{}", options.flags());

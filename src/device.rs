@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, SpacingSaves};
+use crate::frame::Frame;
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
 use crate::options::Options;
@@ -206,25 +206,6 @@ impl Renderer {
                 frame => frame,
             },
         }
-    }
-
-    /// Draws a frame once more with either spacing of planes, and says what the readjusted one saves; `None` where both are
-    /// the same planes.
-    pub fn spacing_saves(
-        &mut self,
-        camera: &Camera,
-        options: &Options,
-        tell: &mut dyn FnMut(&str),
-    ) -> Result<Option<SpacingSaves>> {
-        let mut draw = |readjust| -> Result<(u32, f64)> {
-            let frame = self.draw_with(camera, &Options { readjust, ..*options }, Outputs::default(), tell)?;
-            let times = frame.stats.gpu_ms.or(frame.stats.cpu_ms).unwrap_or_default();
-            Ok((frame.stats.planes, times.traverse))
-        };
-        let (planes_full, traverse_full) = draw(false)?;
-        let (planes_readjusted, traverse_readjusted) = draw(true)?;
-        let saves = SpacingSaves { planes_readjusted, planes_full, traverse_readjusted, traverse_full };
-        Ok((planes_readjusted != planes_full).then_some(saves))
     }
 
     /// The GPU's adapter and driver, where it draws.

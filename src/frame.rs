@@ -35,16 +35,6 @@ pub struct StageTimes {
     pub total: f64,
 }
 
-/// What the readjusted spacing of planes saves on one frame, both drawn warm.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct SpacingSaves {
-    pub planes_readjusted: u32,
-    pub planes_full: u32,
-    /// Milliseconds of traverse.
-    pub traverse_readjusted: f64,
-    pub traverse_full: f64,
-}
-
 /// Work of one frame.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Stats {
@@ -69,9 +59,6 @@ pub struct Stats {
     pub runs_visited: u64,
     pub spans_drawn: u64,
     pub bytes_scene_gpu: u64,
-    /// Measured where it was asked for and the spacings differ.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub readjusted_saves: Option<SpacingSaves>,
     /// Features that the frame paid for.
     pub specialization: Vec<String>,
     /// What was left out, since the frame does not need it: [`crate::Feature`]s by name, with the reason.

@@ -107,6 +107,11 @@ pub struct Options {
     pub ssao_samples: u32,
     /// Distance at which fog has taken 1 − 1/e of a colour; `None` for clear air.
     pub fog: Option<f64>,
+    /// Where a sun stands that lights surfaces by their screen-space normals, in degrees: azimuth clockwise from north (−z),
+    /// and elevation above the horizon. It shows relief: there is less light from elsewhere than without it.
+    pub sun: Option<[f64; 2]>,
+    /// Whether pixels of sky show it; else they are transparent.
+    pub sky: bool,
     /// What may be left out where the frame does not need it; the picture is the same.
     pub specialize: Features,
 }
@@ -128,12 +133,23 @@ impl Default for Options {
             shading: Shading::Full,
             ssao_samples: SSAO_SAMPLES,
             fog: None,
+            sun: None,
+            sky: true,
             specialize: Features::ALL,
         }
     }
 }
 
 impl Options {
+    /// The shading, with normals where a sun needs them.
+    pub fn lit(&self) -> Shading {
+        match (self.sun, self.shading) {
+            (Some(_), Shading::None) => Shading::Ssn,
+            (Some(_), Shading::Ssao) => Shading::Full,
+            (_, shading) => shading,
+        }
+    }
+
     /// The flags of `render` and `fly` that stand for these options; those at their defaults are left out.
     pub fn flags(&self) -> String {
         let (o, usual) = (self, Options::default());
@@ -170,6 +186,9 @@ impl Options {
         add(o.shading != usual.shading, format!("--shading {shading}"));
         add(o.ssao_samples != usual.ssao_samples, format!("--ssao-samples {}", o.ssao_samples));
         add(o.fog.is_some(), format!("--fog {}", o.fog.unwrap_or_default()));
+        let [azimuth, elevation] = o.sun.unwrap_or_default();
+        add(o.sun.is_some(), format!("--sun={azimuth},{elevation}"));
+        add(!o.sky, "--sky none".into());
         add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));
         flags.join(" ")
     }

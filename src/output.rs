@@ -113,11 +113,15 @@ pub fn rgb(frame: &Frame) -> Vec<u8> {
     rgb
 }
 
-/// A frame's colours as PNG, 8-bit sRGB.
+/// A frame's colours as PNG, 8-bit sRGB; with alpha where some are transparent.
 pub fn png(out: &mut impl Write, frame: &Frame) -> io::Result<()> {
     use image::codecs::png::{CompressionType, FilterType, PngEncoder};
     // One filter for all rows: to try each on each row takes twice the time for 1 to 3 % of bytes.
-    write_image(PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Up), frame)
+    let encoder = PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Up);
+    match frame.color.iter().all(|c| c[3] == 255) {
+        true => write_image(encoder, frame, &rgb(frame), image::ExtendedColorType::Rgb8),
+        false => write_image(encoder, frame, frame.color.as_flattened(), image::ExtendedColorType::Rgba8),
+    }
 }
 
 /// What a picture is written as.
@@ -164,8 +168,13 @@ impl Picture {
     }
 }
 
-fn write_image(encoder: impl image::ImageEncoder, frame: &Frame) -> io::Result<()> {
-    encoder.write_image(&rgb(frame), frame.width, frame.height, image::ExtendedColorType::Rgb8).map_err(|e| match e {
+fn write_image(
+    encoder: impl image::ImageEncoder,
+    frame: &Frame,
+    pixels: &[u8],
+    kind: image::ExtendedColorType,
+) -> io::Result<()> {
+    encoder.write_image(pixels, frame.width, frame.height, kind).map_err(|e| match e {
         image::ImageError::IoError(e) => e,
         e => io::Error::other(e),
     })
@@ -174,7 +183,8 @@ fn write_image(encoder: impl image::ImageEncoder, frame: &Frame) -> io::Result<(
 /// A frame's colours as JPEG.
 pub fn jpeg(out: &mut impl Write, frame: &Frame) -> io::Result<()> {
     debug_assert!(frame.width <= JPEG_SIDE && frame.height <= JPEG_SIDE, "--size allows less");
-    write_image(image::codecs::jpeg::JpegEncoder::new_with_quality(out, JPEG_QUALITY), frame)
+    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(out, JPEG_QUALITY);
+    write_image(encoder, frame, &rgb(frame), image::ExtendedColorType::Rgb8)
 }
 
 /// NPY 1.0 header, C order, padded so that the data starts at a multiple of 64 bytes.
@@ -255,6 +265,18 @@ mod tests {
         png(&mut bytes, &frame()).unwrap();
         let back = image::load_from_memory(&bytes).unwrap().into_rgb8();
         assert_eq!((back.dimensions(), back.get_pixel(2, 1).0), ((3, 2), [5, 10, 20]));
+    }
+
+    #[test]
+    fn png_keeps_what_is_transparent() {
+        let mut frame = frame();
+        frame.color[1] = [0; 4];
+        let mut bytes = Vec::new();
+        png(&mut bytes, &frame).unwrap();
+        let back = image::load_from_memory(&bytes).unwrap();
+        assert_eq!(back.color(), image::ColorType::Rgba8);
+        let back = back.into_rgba8();
+        assert_eq!([back.get_pixel(1, 0).0, back.get_pixel(2, 1).0], [[0; 4], [5, 10, 20, 255]]);
     }
 
     #[test]

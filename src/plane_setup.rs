@@ -29,6 +29,9 @@ pub const FARTHEST_VIEW: f64 = 1e9;
 /// The eye may stand this far from the origin along an axis that does not repeat, and above or below the world.
 pub const EYE_LIMIT: f64 = (1 << 30) as f64;
 
+/// The greatest f32 below 1.
+const BELOW_ONE: f64 = 1.0 - f32::EPSILON as f64 / 2.0;
+
 /// Everything about a frame that all its planes share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
@@ -43,7 +46,7 @@ pub struct Setup {
     pub samples: usize,
     /// The voxel of level 0 that holds the eye; along a repeated axis in the first period.
     pub eye_cell: [i32; 3],
-    /// The eye's place in that voxel, 0 ≤ · < 1.
+    /// The eye's place in that voxel, 0 ≤ · < 1, as an f32 too: nearer to the voxel's end it would stand in the next one.
     pub eye_fract: [f64; 3],
     /// What was taken off x and z to bring the eye into the first period.
     pub period_offset: [i64; 2],
@@ -531,7 +534,7 @@ impl World {
         let heights = resident.levels[..levels as usize].iter().enumerate();
         World {
             eye_cell: [x, y as i32, z],
-            eye_fract: [fx, camera.eye.y - y, fz],
+            eye_fract: [fx, camera.eye.y - y, fz].map(|fract| fract.min(BELOW_ONE)),
             period_offset,
             bounds: [(!options.repeat.x).then_some(nx as i32), (!options.repeat.z).then_some(nz as i32)],
             heights: heights.map(|(k, level)| (height(level.bottom, k), height(level.top, k))).collect(),

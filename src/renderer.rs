@@ -26,6 +26,7 @@ pub struct CpuRenderer {
     doubt: Vec<refine::Doubt>,
     /// A frame whose memory the next one takes.
     spare: Option<Frame>,
+    shade: shade::Scratch,
 }
 
 /// What is wanted beside colour and depth.
@@ -73,6 +74,13 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
     if !(1..=SSAO_SAMPLES_LIMIT).contains(&options.ssao_samples) {
         return argument(format!("{} occlusion samples: must be 1 to {SSAO_SAMPLES_LIMIT}", options.ssao_samples));
     }
+    if let Some([azimuth, elevation]) = options.sun
+        && !(azimuth.is_finite() && (-90.0..=90.0).contains(&elevation))
+    {
+        return argument(format!(
+            "sun at azimuth {azimuth}, elevation {elevation} degrees: must be finite, elevation from -90 to 90"
+        ));
+    }
     if !(options.samples > 0.0 && options.samples <= SAMPLES_LIMIT) {
         let most = SAMPLES_LIMIT * 100.0;
         return argument(format!("{} % of samples: must be above 0 and at most {most} %", options.samples * 100.0));
@@ -102,7 +110,8 @@ impl CpuRenderer {
     pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>) -> CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
-        CpuRenderer { scene, resident, buffer: PlaneBuffer::default(), color, index, doubt, spare: None }
+        let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
+        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade }
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -135,7 +144,7 @@ impl CpuRenderer {
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
-        shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
+        self.shade(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
 
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "planes");
@@ -168,7 +177,7 @@ impl CpuRenderer {
         crate::exact::exact(&self.scene, &self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
-        shade::shade(&shade::ShadeParams::new(camera, options), &self.color, &frame.depth, &mut frame.color);
+        self.shade(camera, options, &mut frame);
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "exact", "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
@@ -177,6 +186,11 @@ impl CpuRenderer {
             ..StageTimes::default()
         });
         Ok(frame)
+    }
+
+    fn shade(&mut self, camera: &Camera, options: &Options, frame: &mut Frame) {
+        let params = shade::ShadeParams::new(camera, options);
+        shade::shade(&params, &self.color, &frame.depth, &mut self.shade, &mut frame.color);
     }
 
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {

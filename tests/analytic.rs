@@ -298,6 +298,20 @@ fn eye_on_a_face_sees_it_at_depth_0() {
     }
 }
 
+/// An eye on the plane of a block's top: the horizon is where `exact` has it, to the row, whatever picks the samples.
+#[test]
+fn eye_on_the_plane_of_a_top_face_has_its_horizon_in_the_right_row() {
+    let world = World::new("block", [16, 8, 16], |_, _, _| true);
+    for (pitch, remap) in [-5.0, 5.0].into_iter().flat_map(|pitch| Remap::ALL.map(|remap| (pitch, remap))) {
+        let camera = camera(DVec3::new(7.0, 8.0, 7.0), [45.0, pitch, 0.0], [300, 240]);
+        let exact = world.exact(&camera, &plain());
+        let frame = world.render(&camera, &Options { remap, ..plain() });
+        assert!(frame.voxel == exact.voxel, "pitch {pitch}, {remap:?}");
+        let sky = exact.voxel.iter().filter(|voxel| voxel[3] < 0).count();
+        assert!(sky.is_multiple_of(300) && sky > 0 && sky < exact.voxel.len(), "{sky} pixels of sky are whole rows");
+    }
+}
+
 #[test]
 fn view_distance_ends_the_floor() {
     let world = floor(32);

@@ -27,11 +27,13 @@ fn by_world() -> Vec<(WorldName, Vec<Case>)> {
 
 fn line(row: &Row) -> String {
     format!(
-        "{:62} {:10} off {:6.3} of {:5.1} cracks {} depth {:.1e} steps {:?} of {} moved {:?} ulps {:?}",
+        "{:62} {:10} off {:6.3} of {:5.1} wrong {:6.3} of {:5.1} cracks {} depth {:.1e} steps {:?} of {} moved {:?} ulps {:?}",
         row.case,
         row.device,
         row.off_percent,
         row.bound_off_percent,
+        row.wrong_percent,
+        row.bound_wrong_percent,
         row.cracks,
         row.depth,
         row.steps,
@@ -188,6 +190,11 @@ fn runner_sees_every_kind_of_fault() {
     sees("is not whole", |f, _| f.voxel.clear());
     sees("1 pixels are not Closed", |f, _| (f.voxel[100], f.depth[100]) = ([-1; 4], f32::INFINITY));
     sees("are off", |f, _| f.voxel[..40].fill([3, 17, 5, 0]));
+    // A row lower everywhere: within a pixel of what is seen, but not what the pixels' own rays meet.
+    sees("show what their own rays do not", |f, _| {
+        let w = f.width as usize;
+        f.voxel.copy_within(..f.depth.len() - w, w);
+    });
     sees("a depth is", |f, _| f.depth[100] *= 1.0001);
     sees("drawn twice, 1 pixels differ", |f, n| f.color[7][0] ^= u8::from(n == 1));
     sees("drawn twice, 0 pixels differ", |f, n| f.depth[7] = f32::from_bits(f.depth[7].to_bits() ^ u32::from(n == 1)));

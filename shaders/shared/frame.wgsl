@@ -47,8 +47,9 @@ struct Frame {
     sun: vec3<f32>,
     radius_px: f32,
     fog: f32,
-    normals: u32,
-    occlusion: u32,
+    ambient: f32,
+    // 0: the sky is transparent.
+    sky: u32,
     view_distance: f32,
 }
 

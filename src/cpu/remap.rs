@@ -304,12 +304,13 @@ impl Boxes {
         [near, far]
     }
 
-    /// Depth at which a ray enters a voxel, at least 0; [`MISS`] where it misses it or there is none.
+    /// Depth at which a ray enters a voxel, at least 0; [`MISS`] where it misses it or there is none. One that the eye touches
+    /// and the ray leaves at once is missed: faces belong to the voxels above them.
     #[inline(always)]
     fn enter(&self, voxel: [i32; 4], inverse: [f32; 3]) -> f32 {
         let [near, far] = self.cut(voxel, inverse);
         // Rounding must not let a ray slip between two voxels.
-        if near <= far * (1.0 + 1e-6) && voxel[3] >= 0 { near } else { MISS }
+        if near <= far * (1.0 + 1e-6) && far > 0.0 && voxel[3] >= 0 { near } else { MISS }
     }
 
     /// [`Boxes::enter`] of the voxels at `at`, each with the ray at its place, in vectors. `voxel` is scratch.
@@ -630,8 +631,8 @@ fn missed(shown: &[[i32; 4]], boxes: &Boxes, [own, beside]: [u32; 2], inverse: [
         SKY => f32::NEG_INFINITY,
         voxel => {
             let [near, far] = boxes.cut(voxel, inverse);
-            // As an angle: a share of the distance.
-            (near - far) / near
+            // As an angle: a share of the distance. A voxel behind the eye, or one that it touches, is missed most.
+            if near > 0.0 { (near - far) / near } else { f32::INFINITY }
         }
     });
     if by_beside < by { beside } else { own }

@@ -418,7 +418,8 @@ impl GpuRenderer {
         if cameras.first().is_none_or(known) {
             return self.collect();
         }
-        let resident = self.resident;
+        let resident = Arc::clone(&self.resident);
+        let resident = &*resident;
         let mut made: Vec<Option<Prepared>> = cameras.iter().take(AHEAD).map(|_| None).collect();
         let collected = rayon::in_place_scope(|scope| {
             for (made, camera) in made.iter_mut().zip(cameras) {
@@ -665,7 +666,7 @@ impl Plan {
             n_counters: 0,
             count: gpu.count,
             stage_times: gpu.stage_times,
-            shading: options.shading,
+            shading: options.lit(),
             ssao_samples: options.ssao_samples,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };

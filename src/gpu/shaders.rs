@@ -83,7 +83,6 @@ fn header() -> String {
     constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
     constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
-    constant("AMBIENT", format!("{:?}f", shade::AMBIENT));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
     constant("SKY_ZENITH", rgb(shade::SKY_ZENITH));
     constant("SKY_NADIR", rgb(shade::SKY_NADIR));
@@ -345,8 +344,8 @@ mod tests {
                     sun,
                     radius_px,
                     fog,
-                    normals,
-                    occlusion,
+                    ambient,
+                    sky,
                     view_distance
                 }),
             ),

@@ -106,8 +106,8 @@ pub struct FrameParams {
     pub sun: [f32; 3],
     pub radius_px: f32,
     pub fog: f32,
-    pub normals: u32,
-    pub occlusion: u32,
+    pub ambient: f32,
+    pub sky: u32,
     pub view_distance: f32,
 }
 
@@ -342,8 +342,8 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
         sun: shade.sun.to_array(),
         radius_px: shade.radius_px,
         fog: shade.fog,
-        normals: u32::from(shade.normals),
-        occlusion: u32::from(shade.occlusion),
+        ambient: shade.ambient,
+        sky: u32::from(shade.sky),
         view_distance: setup.view_distance.min(VIEW_LIMIT) as f32,
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::options::{Options, Remap, Repeat, Shading};
-use crate::stability::measure::BOUND_DEPTH;
+use crate::stability::measure::{BOUND_DEPTH, BOUND_MOVED};
 use crate::stability::worlds::WorldName;
 use glam::DVec3;
 
@@ -31,8 +31,13 @@ pub struct Case {
     pub expect: Expect,
     /// Greatest share of pixels that may be off, in percent.
     pub bound_off: f64,
+    /// Greatest share of pixels whose own rays meet something else, in percent, where they are tested.
+    pub bound_wrong: f64,
     /// Greatest relative error of depth.
     pub bound_depth: f64,
+    /// Greatest share of pixels, in percent, that one ulp may move beyond those that it moves in `exact`. An ulp takes an eye
+    /// off a face or into it, and `exact` itself tells no smaller distances.
+    pub bound_moved: f64,
     /// The variable that a family of cases sweeps, and its value.
     pub sweep: Option<(&'static str, f64)>,
 }
@@ -46,6 +51,14 @@ const SIZE: [u32; 2] = [64, 48];
 const LEVEL: f64 = 0.05;
 const TURNED: f64 = 0.5;
 const FINE: f64 = 4.0;
+
+/// Greatest share of pixels, in percent, whose own rays meet something else than they show, where the eye touches what it
+/// sees: less than a row, which is 2 %.
+const TOUCHED: f64 = 0.1;
+
+/// Greatest share of pixels, in percent, whose own rays meet something else than they show, where cells of coarser levels
+/// are drawn: about a pixel wide, they are tested but not refined.
+const LEVELS: f64 = 20.0;
 
 /// Greatest relative error of depth where rays run almost along a wall. On the GPU directions are f32: the component of one
 /// across the wall is a difference, and wrong by 2⁻²⁴ of the ray's length.
@@ -92,7 +105,9 @@ impl List {
             options,
             expect,
             bound_off,
+            bound_wrong: 0.0,
             bound_depth: BOUND_DEPTH,
+            bound_moved: BOUND_MOVED,
             sweep: None,
         });
         self.0.last_mut().expect("just added")
@@ -106,6 +121,7 @@ pub fn cases() -> Vec<Case> {
     vanishing_points(&mut list);
     rolls(&mut list);
     eyes(&mut list);
+    touches(&mut list);
     directions(&mut list);
     lenses(&mut list);
     places(&mut list);
@@ -113,6 +129,9 @@ pub fn cases() -> Vec<Case> {
     worlds(&mut list);
     level_changes(&mut list);
     slopes(&mut list);
+    for case in list.0.iter_mut().filter(|case| case.bound_wrong == 0.0) {
+        case.bound_wrong = f64::max(case.bound_off, if case.options.lod.is_some() { LEVELS } else { 0.0 });
+    }
     list.0
 }
 
@@ -260,6 +279,63 @@ fn eyes(list: &mut List) {
             plain(),
         );
         (case.bound_depth, case.sweep) = (ALONG, Some(("voxels from a wall", d)));
+    }
+}
+
+/// Eyes on the faces, edges and corners of what they see, where a ray enters at no distance or leaves at once.
+fn touches(list: &mut List) {
+    let reason = "what the eye touches is met at depth 0 by rays into it, and by no others";
+    // Nearer than f32 tells from the face itself.
+    let below = |v: f64| v.next_down();
+    let block = WorldName::Block;
+    let eyes = [
+        ("a top face", block, [12.3, 12.0, 12.4]),
+        ("a line of a top face", block, [12.0, 12.0, 12.4]),
+        ("four top faces", block, [12.0, 12.0, 12.0]),
+        ("a top edge", block, [16.0, 12.0, 12.4]),
+        ("the opposite top edge", block, [12.3, 12.0, 8.0]),
+        ("a top corner", block, [16.0, 12.0, 16.0]),
+        ("the opposite top corner", block, [8.0, 12.0, 8.0]),
+        ("a side across x", block, [16.0, 10.4, 12.4]),
+        ("four sides across x", block, [16.0, 10.0, 12.0]),
+        ("a side across z", block, [12.3, 10.4, 16.0]),
+        ("an upright edge", block, [16.0, 10.4, 16.0]),
+        ("a bottom edge", block, [16.0, 8.0, 12.4]),
+        ("a bottom corner", block, [16.0, 8.0, 16.0]),
+        ("another bottom corner", block, [8.0, 8.0, 16.0]),
+        ("a bottom face, an ulp below it", block, [12.3, below(8.0), 12.4]),
+        ("a bottom corner, an ulp from it", block, [below(8.0), below(8.0), below(8.0)]),
+        ("the far side across x, an ulp from it", block, [below(8.0), 10.4, 12.4]),
+        ("the far side across z, an ulp from it", block, [12.3, 10.4, below(8.0)]),
+        ("a wall from within", WorldName::Room, [1.0, 7.4, 9.4]),
+        ("a corner from within", WorldName::Room, [1.0, 1.0, 1.0]),
+        // Heights on a wall are known to an f32's step, 2e-6 here: nearer, the voxel beside the true one may be shown.
+        ("the opposite corner from within, 1e-4 from it", WorldName::Room, [26.9999, 16.9999, 20.9999]),
+    ];
+    let turns = [
+        [45.0, -5.0, 0.0],
+        [225.0, 5.0, 0.0],
+        [0.0, -5.0, 0.0],
+        [90.0, 5.0, 90.0],
+        [123.0, -52.0, 30.0],
+        [300.5, 35.0, -63.0],
+        [211.0, -89.0, 10.0],
+        [33.0, 80.0, 0.0],
+    ];
+    for (what, world, eye) in eyes {
+        for (k, turn) in turns.into_iter().enumerate() {
+            let [yaw, pitch, roll] = turn;
+            let mut add = |how: &str, options: Options| {
+                let name = format!("eye touches {what}, yaw {yaw}, pitch {pitch}, roll {roll}{how}");
+                let case = list.add(name, reason, world, camera(eye, turn), options);
+                (case.bound_wrong, case.bound_moved) = (TOUCHED, 100.0);
+            };
+            add("", plain());
+            if k < 2 && world == block {
+                add(", retest", Options { remap: Remap::Retest, ..plain() });
+                add(", levels", Options { lod: Some(20.0), ..plain() });
+            }
+        }
     }
 }
 

@@ -15,6 +15,9 @@ use glam::DVec3;
 /// How far beside its centre a pixel may look, in pixels.
 pub const REACH: f64 = 1.0;
 
+/// As [`REACH`] where pixels test their own rays: what such a pixel shows is off by rounding alone, wherever its samples are.
+pub const CENTRE: f64 = 1.0 / 16.0;
+
 /// Rays that are cast across twice the reach, along each axis.
 const RAYS: u32 = 9;
 
@@ -22,7 +25,7 @@ const RAYS: u32 = 9;
 /// operations; near the horizon a sight line's slope is a difference of two numbers up to as large as the image's half.
 pub const BOUND_DEPTH: f64 = 1e-5;
 
-/// Greatest share of pixels, in percent, that one ulp may move beyond those that it moves in `exact`.
+/// What [`Case::bound_moved`] is unless a case says otherwise.
 pub const BOUND_MOVED: f64 = 0.5;
 
 /// Draws one frame.
@@ -108,6 +111,10 @@ pub struct Row {
     /// Pixels that show what cannot be seen from there, in percent, and at most how many may.
     pub off_percent: f64,
     pub bound_off_percent: f64,
+    /// Pixels that show what cannot be seen from there within [`CENTRE`], in percent, and at most how many may: those that
+    /// test their own rays; 0 where none do.
+    pub wrong_percent: f64,
+    pub bound_wrong_percent: f64,
     /// Pixels of sky in a closed surface, or of anything where nothing is.
     pub cracks: usize,
     /// Greatest relative error of depth.
@@ -142,6 +149,7 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
         device: drawer.device.clone(),
         kernel: drawer.kernel.clone(),
         bound_off_percent: case.bound_off,
+        bound_wrong_percent: case.bound_wrong,
         bound_depth: case.bound_depth,
         sweep: case.sweep,
         ..Row::default()
@@ -163,6 +171,11 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
     row.cracks = cracks(&frame, case.expect);
     let off = off(&frame, &truth.frame, world, &case.camera, &case.options);
     row.off_percent = percent(off.len());
+    let wrong = match frame.stats.kernel != "inside" && (drawer.exact || tests_rays(case, world)) {
+        true => wrong(&frame, &truth.frame, world, &case.camera, &case.options),
+        false => Vec::new(),
+    };
+    row.wrong_percent = percent(wrong.len());
     row.depth = depth_error(&frame, &truth.frame);
     let again = (drawer.draw)(&case.camera, &case.options)?;
     let same = same_bits(&frame, &again);
@@ -174,20 +187,28 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
         row.depth_ulps[k] = depth_ulps(&frame, &moved).saturating_sub(depth_ulps(&truth.frame, truth_further));
     }
 
-    let pixel = |i: usize| (i % frame.width as usize, i / frame.width as usize);
+    let shown = |i: usize| {
+        let pixel = (i % frame.width as usize, i / frame.width as usize);
+        let [(voxel, depth), (exact, exact_depth)] = [&frame, &truth.frame].map(|f| (f.voxel[i], f.depth[i]));
+        format!("the first, {pixel:?}, shows {voxel:?} at {depth}, exact {exact:?} at {exact_depth}")
+    };
     if row.cracks > 0 {
         row.faults.push(format!("{} pixels are not {:?}", row.cracks, case.expect));
     }
     if row.off_percent > case.bound_off {
-        let i = off[0];
-        let (voxel, exact) = (frame.voxel[i], truth.frame.voxel[i]);
         row.faults.push(format!(
-            "{:.3} % of the pixels are off, at most {} % may be; the first, {:?}, shows {voxel:?} at {}, exact {exact:?} at {}",
+            "{:.3} % of the pixels are off, at most {} % may be; {}",
             row.off_percent,
             case.bound_off,
-            pixel(i),
-            frame.depth[i],
-            truth.frame.depth[i],
+            shown(off[0])
+        ));
+    }
+    if row.wrong_percent > case.bound_wrong {
+        row.faults.push(format!(
+            "{:.3} % of the pixels show what their own rays do not, at most {} % may; {}",
+            row.wrong_percent,
+            case.bound_wrong,
+            shown(wrong[0])
         ));
     }
     if row.depth > case.bound_depth {
@@ -197,7 +218,7 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
         row.faults.push(format!("drawn twice, {what}"));
     }
     for (k, what) in ["yaw", "pitch", "the eye's x"].iter().enumerate() {
-        if row.moved_percent[k] > BOUND_MOVED {
+        if row.moved_percent[k] > case.bound_moved {
             row.faults.push(format!("one ulp of {what} moves {:.3} % of the pixels", row.moved_percent[k]));
         }
     }
@@ -286,6 +307,18 @@ pub fn off(frame: &Frame, exact: &Frame, world: &World, camera: &Camera, options
     (0..frame.voxel.len()).filter(|i| !shown(i)).collect()
 }
 
+/// As [`off`], of the pixels' own rays: what a ray within [`CENTRE`] of a pixel's centre meets.
+pub fn wrong(frame: &Frame, exact: &Frame, world: &World, camera: &Camera, options: &Options) -> Vec<usize> {
+    let sight = Sight { reach: CENTRE, ..Sight::new(world, camera, options) };
+    let shown = |i: &usize| exact.voxel[*i] == frame.voxel[*i] || sight.can_show(*i, frame.voxel[*i]);
+    (0..frame.voxel.len()).filter(|i| !shown(i)).collect()
+}
+
+/// Whether the pixels of a case test voxels against their own rays.
+fn tests_rays(case: &Case, world: &World) -> bool {
+    plane_setup(&world.resident, &case.camera, &case.options).retests(&case.camera, &case.options)
+}
+
 /// f64 rays into a world.
 struct Sight<'a> {
     world: &'a World,
@@ -293,6 +326,7 @@ struct Sight<'a> {
     basis: Basis,
     repeats: [bool; 2],
     view: f64,
+    reach: f64,
 }
 
 impl<'a> Sight<'a> {
@@ -300,7 +334,7 @@ impl<'a> Sight<'a> {
         let repeats = [options.repeat.x, options.repeat.z];
         let without_end = !options.view_distance.is_finite() && repeats != [false; 2];
         let view = if without_end { REPEATED_VIEW_DISTANCE } else { options.view_distance };
-        Sight { world, camera, basis: camera.basis(), repeats, view }
+        Sight { world, camera, basis: camera.basis(), repeats, view, reach: REACH }
     }
 
     /// What a ray meets at level 0, and at which parameter.
@@ -321,7 +355,7 @@ impl<'a> Sight<'a> {
             return false;
         }
         // From the centre outwards, since most pixels are settled by the first ray: 0, −1, 1, −2, …
-        let step = 2.0 * REACH / f64::from(RAYS - 1);
+        let step = 2.0 * self.reach / f64::from(RAYS - 1);
         let beside = |k: u32| step * f64::from(k.div_ceil(2)) * if k.is_multiple_of(2) { 1.0 } else { -1.0 };
         (0..RAYS * RAYS).any(|k| {
             let ray = self.camera.ray(&self.basis, x + beside(k % RAYS), y + beside(k / RAYS));
@@ -343,14 +377,14 @@ impl<'a> Sight<'a> {
         level.solid.solid(place(x, nx, self.repeats[0]), i64::from(y >> l), place(z, nz, self.repeats[1]))
     }
 
-    /// The parameter at which a ray enters a voxel's box.
+    /// The parameter at which a ray enters a voxel's box. One that the eye touches and the ray leaves is not entered.
     fn enter(&self, voxel: [i32; 4], ray: DVec3) -> Option<f64> {
         let (mut near, mut far) = (0.0f64, f64::INFINITY);
         for axis in 0..3 {
             let from = f64::from(voxel[axis]) - self.camera.eye[axis];
             let to = from + f64::from(1u32 << voxel[3]);
             if ray[axis] == 0.0 {
-                if from > 0.0 || to < 0.0 {
+                if from > 0.0 || to <= 0.0 {
                     return None;
                 }
                 continue;
@@ -358,7 +392,7 @@ impl<'a> Sight<'a> {
             let (a, b) = (from / ray[axis], to / ray[axis]);
             (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
         }
-        (near <= far).then_some(near)
+        (near <= far && far > 0.0).then_some(near)
     }
 }
 

@@ -8,6 +8,8 @@
 //! - **off**: pixels that show what no ray within [`measure::REACH`] pixels of theirs meets, in f64 at level 0
 //!   ([`measure::off`]). Planes sample beside a pixel's ray, so that a voxel thinner than a pixel may well be another one
 //!   than `exact` shows in its centre; a voxel that cannot be seen from there at all is a fault.
+//! - **wrong**: where pixels test voxels against their own rays, those that show what no ray within [`measure::CENTRE`] meets
+//!   ([`measure::wrong`]): a horizon that stands a row too high is within a pixel of what is seen, and yet wrong.
 //! - **cracks**: pixels of sky where a surface is closed, or of anything where there is nothing.
 //! - **depth**: greatest relative error of depth against `exact`, where both show one voxel.
 //! - **steps**: columns looked at by the plane that looks at most, at most `bound_steps`, which follows from the geometry

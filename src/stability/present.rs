@@ -34,12 +34,14 @@ pub fn files(rows: &[Row], walks: Option<&Walks>) -> Vec<Content> {
     files
 }
 
-const HEAD: [&str; 18] = [
+const HEAD: [&str; 20] = [
     "case",
     "device",
     "kernel",
     "off_percent",
     "bound_off_percent",
+    "wrong_percent",
+    "bound_wrong_percent",
     "cracks",
     "depth",
     "bound_depth",
@@ -64,6 +66,8 @@ fn csv(rows: &[Row]) -> Vec<u8> {
             r.kernel.clone(),
             format!("{:.4}", r.off_percent),
             r.bound_off_percent.to_string(),
+            format!("{:.4}", r.wrong_percent),
+            r.bound_wrong_percent.to_string(),
             r.cracks.to_string(),
             format!("{:.2e}", r.depth),
             format!("{:e}", r.bound_depth),
@@ -119,16 +123,18 @@ fn read_csv(bytes: &[u8]) -> Result<Vec<Row>, String> {
             kernel: record[2].into(),
             off_percent: number(3)?,
             bound_off_percent: number(4)?,
-            cracks: number(5)? as usize,
-            depth: number(6)?,
-            bound_depth: number(7)?,
-            steps: if record[8].is_empty() { None } else { Some(number(8)? as u64) },
-            bound_steps: number(9)? as u64,
-            moved_percent: [number(10)?, number(11)?, number(12)?],
-            depth_ulps: [number(13)? as u32, number(14)? as u32, number(15)? as u32],
+            wrong_percent: number(5)?,
+            bound_wrong_percent: number(6)?,
+            cracks: number(7)? as usize,
+            depth: number(8)?,
+            bound_depth: number(9)?,
+            steps: if record[10].is_empty() { None } else { Some(number(10)? as u64) },
+            bound_steps: number(11)? as u64,
+            moved_percent: [number(12)?, number(13)?, number(14)?],
+            depth_ulps: [number(15)? as u32, number(16)? as u32, number(17)? as u32],
             sweep: case.sweep,
-            refused: text(16),
-            faults: text(17).into_iter().collect(),
+            refused: text(18),
+            faults: text(19).into_iter().collect(),
             ..Row::default()
         });
     }
@@ -166,19 +172,22 @@ fn head(first: &[&str], columns: &[(&str, &str)]) -> String {
 fn table(rows: &[Row]) -> String {
     let (columns, cases) = columns_and_cases(rows);
     let mut text = String::from(
-        "Pixels that show what cannot be seen from there, in percent, and the greatest relative error of depth; at most the \
-         bounds may be. A cell that says more is out of its bounds.\n\n",
+        "Pixels that show what cannot be seen from there, in percent; where pixels test their own rays, those that show what \
+         these do not; and the greatest relative error of depth; at most the bounds may be. A cell that says more is out of its \
+         bounds.\n\n",
     );
     text += &head(&["case", "why", "bound"], &columns);
     for case in cases {
         let (name, why) = (&case.case, &case.reason);
-        write!(text, "\n| {name} | {why} | {} %, {:.0e} |", case.bound_off_percent, case.bound_depth)
-            .expect("a string takes it");
+        let [off, wrong] = [case.bound_off_percent, case.bound_wrong_percent];
+        write!(text, "\n| {name} | {why} | {off} %, {wrong} %, {:.0e} |", case.bound_depth).expect("a string takes it");
         for &column in &columns {
             text += &match find(rows, case, column) {
                 None => " |".to_string(),
                 Some(Row { refused: Some(_), .. }) => " beyond its limits |".to_string(),
-                Some(r) if r.faults.is_empty() => format!(" {:.3} %, {:.0e} |", r.off_percent, r.depth),
+                Some(r) if r.faults.is_empty() => {
+                    format!(" {:.3} %, {:.3} %, {:.0e} |", r.off_percent, r.wrong_percent, r.depth)
+                }
                 Some(r) => format!(" **{}** |", r.faults.join("; ")),
             };
         }
@@ -300,7 +309,7 @@ mod tests {
         let rows = [row("a", "k"), row("a", "l"), refused, faulty];
         let text = table(&rows);
         assert!(text.contains("| gpu, k | gpu, l |\n|---|---|---|---|---|\n"), "{text}");
-        assert!(text.contains("| a |  | 0.5 %, 1e-5 | 0.000 %, 0e0 | 0.000 %, 0e0 |"), "{text}");
+        assert!(text.contains("| a |  | 0.5 %, 0 %, 1e-5 | 0.000 %, 0.000 %, 0e0 | 0.000 %, 0.000 %, 0e0 |"), "{text}");
         assert!(text.ends_with("| beyond its limits | **it cracks** |\n"), "{text}");
         let names: Vec<_> = files(&rows, Some(&Walks::default())).iter().map(|f| f.name.clone()).collect();
         let expected = ["json", "csv", "md", "walks.csv", "walks.svg", "x.svg"];

@@ -41,6 +41,8 @@ pub enum WorldName {
     Poles,
     /// A fence one voxel thick, 2,048 long.
     Fence,
+    /// A block in the air over a floor, on even places.
+    Block,
 }
 
 /// A scene and its tables.
@@ -67,6 +69,7 @@ impl WorldName {
             WorldName::SingleVoxel => [33, 17, 41],
             WorldName::Empty | WorldName::Full => [24, 20, 40],
             WorldName::Fence => [64, 32, 2048],
+            WorldName::Block => [24, 20, 24],
         }
     }
 
@@ -98,6 +101,9 @@ impl WorldName {
             WorldName::Stairs => Box::new(|x, y, z| y <= x && (y + 6 >= x || z < 20)),
             WorldName::Poles => Box::new(|x, y, z| y == 0 || (x % 8 == 3 && z % 8 == 5 && y < 40 + x / 8)),
             WorldName::Fence => Box::new(|x, y, _| x == 40 && y < 24),
+            WorldName::Block => {
+                Box::new(|x, y, z| y == 0 || ((8..16).contains(&x) && (8..12).contains(&y) && (8..16).contains(&z)))
+            }
         };
         let columns = Columns::from_fn(nx, ny, nz, solid);
         if self == WorldName::Plank {

@@ -10,7 +10,7 @@ mod specialize;
 
 use compare::{Difference, compare};
 use glam::DVec3;
-use planecast::cpu::shade::{ShadeParams, shade};
+use planecast::cpu::shade::{Scratch, ShadeParams, shade};
 use planecast::cpu::traverse::{PlaneBuffer, traverse};
 use planecast::device::{Device, Renderer};
 use planecast::gpu::Begin;
@@ -345,15 +345,15 @@ fn shade_of_the_same_image_gives_the_same_colours() {
     let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(Kernel::Workgroup)).unwrap();
     let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
     for shading in [Shading::None, Shading::Ssn, Shading::Ssao, Shading::Full] {
-        for fog in [None, Some(150.0)] {
-            let options = Options { shading, fog, ..Options::default() };
+        for (fog, sun, sky) in [(None, None, true), (Some(150.0), None, true), (None, Some([300.0, 25.0]), false)] {
+            let options = Options { shading, fog, sun, sky, ..Options::default() };
             for camera in poses(&world) {
                 // Unshaded colours are what `remap` leaves, but for the sky.
                 let image = cpu.render(&camera, &flat(), VOXEL).unwrap();
                 let color: Vec<u32> = image.color.iter().map(|&c| u32::from_le_bytes(c)).collect();
                 let mut expected = image.clone();
                 let params = ShadeParams::new(&camera, &options);
-                shade(&params, &color, &image.depth, &mut expected.color);
+                shade(&params, &color, &image.depth, &mut Scratch::default(), &mut expected.color);
                 let begin = Begin::Image { color: &color, depth: &image.depth };
                 let drawn = gpu.render_from(begin, &camera, &options, Outputs::default()).unwrap();
                 let off: Vec<u8> = drawn
@@ -364,13 +364,13 @@ fn shade_of_the_same_image_gives_the_same_colours() {
                     .collect();
                 let (one, more) = (off.iter().filter(|&&d| d == 1).count(), off.iter().filter(|&&d| d > 1).count());
                 println!(
-                    "{shading:?} {fog:?} {:?}: {one} by 1, {more} by more",
+                    "{shading:?} {fog:?} {sun:?} {:?}: {one} by 1, {more} by more",
                     (camera.yaw, camera.pitch, camera.roll)
                 );
                 // A rounding of the last place everywhere; more only where a neighbour's depth is on the limit of an edge.
                 assert!(
                     more <= off.len() / 1000 && one <= off.len() / 50,
-                    "{shading:?} {fog:?} {camera:?}: {one} by 1, {more} by more"
+                    "{shading:?} {fog:?} {sun:?} {camera:?}: {one} by 1, {more} by more"
                 );
             }
         }
