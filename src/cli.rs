@@ -14,6 +14,7 @@ use std::time::Instant;
 use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
 use planecast_encoder::cli::{InputArgs, Made};
+use planecast_encoder::source::ReadOptions;
 use planecast_encoder::write::{keep_input, resolved};
 use planecast_encoder::{Error as FileError, Scene, guard, info, note, say};
 use serde_json::json;
@@ -659,9 +660,14 @@ fn tell(what: &str) {
     note!("{what}");
 }
 
-fn open_scene(path: &FilePath, input: &InputArgs, skip_broken: bool) -> Result<Scene> {
-    let opened = planecast_encoder::cli::open(path, &input.read)?;
+fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<Scene> {
+    let opened = planecast_encoder::cli::open(path, read)?;
     Ok(planecast_encoder::cli::read_scene(&opened.file, skip_broken)?)
+}
+
+/// How an input is read that a person is to look at.
+fn shown(read: &ReadOptions) -> ReadOptions {
+    ReadOptions { show: true, ..read.clone() }
 }
 
 /// The files of a command that are not standard output.
@@ -702,7 +708,7 @@ impl RenderArgs {
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let scene = open_scene(&self.scene, &self.input, self.draw.skip_broken)?;
+        let scene = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
         let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
         let (scene, resident) = shared(scene, self.draw.specialize);
@@ -768,7 +774,7 @@ impl FlyArgs {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
         }
-        let file = planecast_encoder::cli::open(&self.scene, &self.input.read)?.file;
+        let file = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?.file;
         let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
@@ -870,7 +876,7 @@ impl ViewArgs {
         view::view(view::Settings {
             input: self.input.clone(),
             how: crate::world::OpenOptions {
-                read: self.input_options.read.clone(),
+                read: shown(&self.input_options.read),
                 skip_broken: self.draw.skip_broken,
                 specialize: self.draw.specialize,
             },
@@ -978,7 +984,7 @@ fn end_on_ctrl_c() {
 
 impl PickArgs {
     fn run(&self) -> Result<()> {
-        let report = pick::report(&open_scene(&self.scene, &self.input, false)?, self.from, self.dir)?;
+        let report = pick::report(&open_scene(&self.scene, &self.input.read, false)?, self.from, self.dir)?;
         print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
     }
 }
@@ -1291,7 +1297,7 @@ mod tests {
             ("--view-distance -1", "expected a number above 0"),
             ("--cull horizont", "a list of horizon,center,forward,bits,coarse"),
             ("--repeat y", "possible values: none, x, z, xz"),
-            ("--device tpu", "possible values: auto, gpu, cpu, exact"),
+            ("--device tpu", "possible values: auto, gpu, gpu:all, cpu, exact"),
             ("--threads 0", "0 is not in 1..=1024"),
             ("--nosuch", "unexpected argument '--nosuch' found"),
         ] {

@@ -1,6 +1,7 @@
 //! What a loop of frames asks of the allocator: memory of the size of pictures only once.
 
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::DVec3;
@@ -38,8 +39,8 @@ static ALLOCATOR: Counting = Counting;
 /// Planes of a small picture take less than [`LARGE`]; its colours, depths and samples more.
 #[test]
 fn frames_in_a_loop_take_the_memory_of_those_before() {
-    let scene = build(procedural(Kind::Rocks, 64, 7).unwrap(), &BuildOptions::default()).unwrap();
-    let resident = Resident::new(&scene);
+    let scene = Arc::new(build(procedural(Kind::Rocks, 64, 7).unwrap(), &BuildOptions::default()).unwrap());
+    let resident = Arc::new(Resident::new(&scene));
     let camera = |i: usize| Camera {
         eye: DVec3::new(20.3 + i as f64, 70.7, 31.4),
         yaw: 30.0 + i as f64,
@@ -50,10 +51,10 @@ fn frames_in_a_loop_take_the_memory_of_those_before() {
         height: 120,
     };
     let mut tell = |text: &str| panic!("{text}");
-    let mut renderer = Renderer::new(&scene, &resident, Device::Cpu, None, &mut tell).unwrap();
+    let mut renderer = Renderer::with_kernel(&scene, &resident, Device::Cpu, None, &mut tell).unwrap();
     let mut draw = |i: usize, given_back: bool| {
         let before = LARGE_ONES.load(Ordering::Relaxed);
-        let frame = renderer.draw(&camera(i), &Options::default(), Outputs::default(), &mut tell).unwrap();
+        let frame = renderer.draw_with(&camera(i), &Options::default(), Outputs::default(), &mut tell).unwrap();
         let asked = LARGE_ONES.load(Ordering::Relaxed) - before;
         if given_back {
             renderer.reuse(Some(frame));

@@ -417,7 +417,7 @@ fn child_draws_on_all_gpus() {
     let cameras: Vec<Camera> = poses(&world).into_iter().cycle().take(20).collect();
     let draw = |device: Device| -> Vec<_> {
         let mut tell = |text: &str| println!("{text}");
-        let mut renderer = Renderer::new(&world.scene, &world.resident, device, None, &mut tell).unwrap();
+        let mut renderer = Renderer::with_kernel(&world.scene, &world.resident, device, None, &mut tell).unwrap();
         renderer.set_depth(false);
         let mut draw = |i: usize| {
             let frame = renderer.draw_first(&cameras[i..], &flat(), Outputs::default(), &mut |_| ()).unwrap();
@@ -445,7 +445,7 @@ fn films_frames_are_the_same_pictures_in_one_pass_without_depths_in_used_memory(
     };
     assert!(alone[0].stats.gpu_ms.unwrap().traverse > 0.0);
     let mut tell = |text: &str| panic!("{text}");
-    let mut renderer = Renderer::new(&world.scene, &world.resident, Device::Gpu, None, &mut tell).unwrap();
+    let mut renderer = Renderer::with_kernel(&world.scene, &world.resident, Device::Gpu, None, &mut tell).unwrap();
     renderer.set_count(false);
     renderer.set_depth(false);
     for (i, right) in alone.iter().enumerate() {
@@ -458,7 +458,7 @@ fn films_frames_are_the_same_pictures_in_one_pass_without_depths_in_used_memory(
     }
     // And with depths again, in the same memory.
     renderer.set_depth(true);
-    let frame = renderer.draw(&cameras[0], &Options::default(), Outputs::default(), &mut tell).unwrap();
+    let frame = renderer.draw_with(&cameras[0], &Options::default(), Outputs::default(), &mut tell).unwrap();
     assert!(frame.color == alone[0].color && frame.depth == alone[0].depth);
 }
 

@@ -17,7 +17,7 @@ fn cameras() -> impl Strategy<Value = Vec<(DVec3, [f64; 3], f64)>> {
     proptest::collection::vec(any_camera(), 5)
 }
 
-fn renderer(world: &common::World, kernel: Kernel) -> GpuRenderer<'_> {
+fn renderer(world: &common::World, kernel: Kernel) -> GpuRenderer {
     GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap()
 }
 

@@ -26,7 +26,7 @@ use super::geo::{Crs, Length, Model, Place};
 use super::geotiff;
 use super::heights::Heights;
 use super::pixels::{Pixels, Png, Stream, stream};
-use super::relief::{self, Colors, Means, Ramp};
+use super::relief::{self, Colors, Exaggeration, Means, Ramp};
 use super::{HeightCode, ReadOptions, guarded, world_dims};
 use crate::about::Kind;
 use crate::pieces::{ColumnColorsFn, RowColors, Rows};
@@ -197,7 +197,9 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
             scale
         }
     };
-    let scale = match opts.exaggeration.map(|e| e.factor((high - low) * scale, width.max(height))) {
+    let auto = (opts.show && opts.height_scale.is_none()).then_some(Exaggeration::Auto);
+    let shown = opts.exaggeration.or(auto);
+    let scale = match shown.map(|e| e.factor((high - low) * scale, width.max(height))) {
         Some(factor) if factor != 1.0 => {
             rules.insert(0, format!("relief {factor} times as high (--exaggeration)"));
             scale * factor
@@ -236,7 +238,8 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
 
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
     let heights = Arc::new(heights);
-    let ramp = opts.ramp.as_deref().filter(|_| opts.colors.is_none()).map(Ramp::find).transpose()?.flatten();
+    let ramp = opts.ramp.as_deref().or(opts.show.then_some("terrain")).filter(|_| opts.colors.is_none());
+    let ramp = ramp.map(Ramp::find).transpose()?.flatten();
     let color = match (&opts.colors, ramp) {
         (Some(path), _) => RowColors::Column(color_map(path, width, height, &mut notes)?),
         (None, Some(ramp)) => {

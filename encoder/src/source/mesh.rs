@@ -180,10 +180,6 @@ fn concave(positions: &[[f64; 3]], corners: &[u32]) -> Option<Vec<[f64; 2]>> {
 }
 
 /// The box around finite points, and an error where there is none.
-pub(super) fn bounds(path: &Path, points: &[[f64; 3]]) -> Result<([f64; 3], [f64; 3])> {
-    bounds_of(path, points.iter().enumerate())
-}
-
 fn bounds_of<'a>(path: &Path, points: impl Iterator<Item = (usize, &'a [f64; 3])>) -> Result<([f64; 3], [f64; 3])> {
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     let mut any = false;

@@ -177,6 +177,9 @@ pub struct ReadOptions {
     /// How much higher a height map's relief is drawn than it is wide; auto: as much as shows it [default: 1]
     #[arg(long, value_name = "N|auto")]
     pub exaggeration: Option<Exaggeration>,
+    /// A person is to look at it: where no flag says otherwise, a height map takes colours, and relief that shows.
+    #[arg(skip)]
+    pub show: bool,
     /// Value of a height map that stands for no data [default: what the file says]
     #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
     pub nodata: Option<f64>,
