@@ -374,7 +374,11 @@ impl Crs {
             None => {
                 let mut crs = Crs { model, ..Crs::default() };
                 let citation = [3073, 2049, 1026].iter().find_map(|&id| words(id));
-                crs.name = citation.unwrap_or_default().chars().filter(|c| !c.is_control()).take(80).collect();
+                // ESRI's lists several names, "GCS Name = X|Primem = Y": the first says what it is.
+                let citation = citation.unwrap_or_default();
+                let name = citation.split('|').next().unwrap_or_default();
+                let name = name.split_once(" Name = ").map_or(name, |(_, name)| name);
+                crs.name = name.chars().filter(|c| !c.is_control()).take(80).collect();
                 (crs.unit, crs.unit_name) = match model {
                     Model::Geographic => (1.0, "degrees".to_owned()),
                     Model::Unknown => (1.0, String::new()),

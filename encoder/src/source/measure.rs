@@ -50,14 +50,14 @@ pub(super) enum Paint {
     Labels,
 }
 
-/// From dark to light as the eye sees it, through the colours of flesh and bone.
+/// From dark to light as the eye sees it, through the colours of flesh and bone. The darkest is light enough for shading to show on.
 const RAMP: [[f64; 3]; 6] = [
-    [92.0, 38.0, 42.0],
-    [152.0, 64.0, 52.0],
-    [200.0, 106.0, 70.0],
-    [229.0, 155.0, 104.0],
-    [244.0, 204.0, 156.0],
-    [255.0, 246.0, 224.0],
+    [176.0, 104.0, 84.0],
+    [204.0, 138.0, 106.0],
+    [224.0, 170.0, 134.0],
+    [238.0, 200.0, 166.0],
+    [248.0, 226.0, 200.0],
+    [255.0, 247.0, 232.0],
 ];
 
 impl Paint {
