@@ -296,7 +296,8 @@ fn fly_says_that_an_odd_size_grows() {
     let tkhd = &index(&dir.path().join("film.mp4")).trak[0].tkhd;
     assert_eq!((tkhd.width.integer(), tkhd.height.integer()), (64, 42));
     let output = planecast(dir.path(), &format!("fly hills.pcast -o film.mp4 {how} 64x42"));
-    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && !said.contains("is written as"), "{said}");
 }
 
 #[cfg(any(feature = "h264", feature = "av1"))]
@@ -606,8 +607,11 @@ fn limits_of_memory_end_in_words() {
             assert!(matches!(status, Some(0 | 1)), "{line} in {kib} KiB: {:?}: {said}", output.status);
             if status == Some(1) {
                 refused += 1;
-                let plain = said.contains("emory") && !said.contains("please report") && !said.contains("backtrace");
-                assert!(plain, "{line} in {kib} KiB: {said}");
+                // Rust 1.95's own line on memory, and its hint at a backtrace, come first; stable Rust has no way to silence them.
+                let last = said.lines().last().unwrap_or_default();
+                let plain = last.starts_with("planecast: ") && last.contains("emory");
+                let trace = said.contains("please report") || said.contains("stack backtrace");
+                assert!(plain && !trace, "{line} in {kib} KiB: {said}");
             }
             for file in names(dir.path()) {
                 assert!(["hills.pcast", "s.pcast", "p.png"].contains(&&*file), "{line} leaves {file}");

@@ -11,13 +11,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 
 use glam::DVec3;
+use planecast::World;
 use planecast::frame::Stats;
 use planecast::gpu::present::{ByteOrder, Device, Presenter};
 use planecast::path::Pose;
 use planecast::tour::{self, View};
 use planecast::view::control::{Control, Ground, Mode};
 use planecast::view::drawer::{Drawer, Drawn, Draws};
-use planecast::World;
 use planecast::{CpuRenderer, Kernel, Options, Outputs, exact};
 use planecast_encoder::{ArrivingFile, Scene, arriving, write};
 use serde_json::json;
