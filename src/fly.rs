@@ -147,6 +147,7 @@ pub fn parts_folder(output: &Path) -> PathBuf {
 }
 
 /// One picture on its way to be saved.
+#[expect(clippy::large_enum_variant, reason = "moved a few times per frame; a box would be one more allocation each")]
 enum Picture {
     Rgb(Frame),
     Yuv(Yuv),

@@ -424,10 +424,10 @@ mod tests {
             let margin = [0, 1].map(|k| (2.5 / step[k]).ceil() as usize);
             let found = rows(&out);
             let mut n = 0;
-            for z in margin[1]..size[1] as usize - margin[1] {
-                for x in margin[0]..size[0] as usize - margin[0] {
+            for (z, row) in found.iter().enumerate().take(size[1] as usize - margin[1]).skip(margin[1]) {
+                for (x, &height) in row.iter().enumerate().take(size[0] as usize - margin[0]).skip(margin[0]) {
                     let expected = of((x as f64 + 0.5) * step[0], (z as f64 + 0.5) * step[1]);
-                    assert!((f64::from(found[z][x]) - expected).abs() < 1e-4, "{x}, {z}: {} {expected}", found[z][x]);
+                    assert!((f64::from(height) - expected).abs() < 1e-4, "{x}, {z}: {height} {expected}");
                     n += 1;
                 }
             }

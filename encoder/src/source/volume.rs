@@ -769,8 +769,9 @@ impl<'a> Volume<'a> {
                 self.rows(us.clone(), vs.clone(), w, &mut buffers, |v, row| {
                     if y_axis == 0 {
                         let ix = column([us.start, v, w]);
-                        for at in offsets[ix] as usize..offsets[ix + 1] as usize {
-                            let y = u32::from(ys[at]);
+                        let places = offsets[ix] as usize..offsets[ix + 1] as usize;
+                        for (&y, at) in ys[places.clone()].iter().zip(places) {
+                            let y = u32::from(y);
                             let u = if self.flips[1] { ny - 1 - y } else { y };
                             put(at, self.value(row, u as usize, &mut one));
                         }

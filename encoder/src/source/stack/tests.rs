@@ -182,7 +182,7 @@ fn imagej_stacks_with_one_directory_are_whole() {
     let rest: Vec<u8> = (1..6).flat_map(slice).collect();
     let text = "ImageJ=1.53t\nimages=6\nslices=6\nloop=false\n";
     let first = Dir::new(8, slice(0)).text(text);
-    let bytes = tiff(true, &[first.clone()], &rest);
+    let bytes = tiff(true, std::slice::from_ref(&first), &rest);
     assert_slices(&read("a.tif", &bytes, "--format stack"), &[0, 1, 2, 3, 4, 5]);
     assert_slices(&read("a.tif", &bytes, ""), &[0, 1, 2, 3, 4, 5]);
     let e = error("a.tif", &bytes[..bytes.len() - 1], "--format stack");
@@ -370,7 +370,8 @@ fn samples_of_any_number_of_bits_are_read() {
                 _ => packed(bits as usize, &values),
             };
             let dir = Dir::new(bits, strip.clone());
-            let input = read("a.tif", &tiff(big, &[dir.clone()], &[]), &format!("--format stack --iso {top}"));
+            let input =
+                read("a.tif", &tiff(big, std::slice::from_ref(&dir), &[]), &format!("--format stack --iso {top}"));
             assert_slices(&input, &[2]);
             // The least bit first in each byte.
             let turned = Dir { strip: strip.iter().map(|b| b.reverse_bits()).collect(), ..dir.clone() };
@@ -408,12 +409,13 @@ fn codecs_give_what_was_packed() {
             .collect()
     };
     let zstd = |bytes: &[u8]| zstd::bulk::compress(bytes, 3).unwrap();
-    let codecs: [(u16, &dyn Fn(&[u8]) -> Vec<u8>); 6] =
+    type Pack<'a> = &'a dyn Fn(&[u8]) -> Vec<u8>;
+    let codecs: [(u16, Pack<'_>); 6] =
         [(5, &lzw), (8, &zlib), (32_946, &zlib), (32_773, &pack_bits), (50_000, &zstd), (34_926, &zstd)];
     let slice = slice(3);
     for (code, pack) in codecs {
         let dir = Dir::new(8, pack(&slice)).with(259, Tag::Short(vec![code]));
-        assert_slices(&read("a.tif", &tiff(false, &[dir.clone()], &[]), "--format stack"), &[3]);
+        assert_slices(&read("a.tif", &tiff(false, std::slice::from_ref(&dir), &[]), "--format stack"), &[3]);
         if code == 32_773 {
             continue;
         }

@@ -51,7 +51,8 @@ fn placed(steps: [[f32; 3]; 3]) -> Vec<u8> {
     let mut file = nifti([1.0, 0.0]);
     put(&mut file, 254, &2i16.to_le_bytes());
     for c in 0..3 {
-        let row = [steps[0][c], steps[1][c], steps[2][c], 10.0 * (c + 1) as f32];
+        let [x, y, z] = steps.map(|step| step[c]);
+        let row = [x, y, z, 10.0 * (c + 1) as f32];
         put(&mut file, 280 + 16 * c, &bytes_of(row.map(f32::to_le_bytes).to_vec()));
     }
     file[123] = 2;
