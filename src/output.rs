@@ -73,7 +73,7 @@ pub fn write(path: &Path, content: impl FnOnce(&mut BufWriter<&File>) -> io::Res
     write_as(path, true, content)
 }
 
-/// As [`write`], one of many: not waited for until it is on the disk. After a loss of power, look at its end.
+/// As [`write()`], one of many: not waited for until it is on the disk. After a loss of power, look at its end.
 pub fn write_one_of_many(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<&File>) -> io::Result<()>,
@@ -94,7 +94,7 @@ fn write_as(path: &Path, sync: bool, content: impl FnOnce(&mut BufWriter<&File>)
     Ok(Pending { file, path })
 }
 
-/// As [`write`], for what writes the file at the path that it is given.
+/// As [`write()`], for what writes the file at the path that it is given.
 pub fn write_by(path: &Path, content: impl FnOnce(&Path) -> Result<()>) -> Result<Pending> {
     check(path)?;
     let path = resolve(path)?;

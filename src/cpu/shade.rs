@@ -101,7 +101,7 @@ const LANES: usize = 64;
 const ROWS_A_TASK: usize = 8;
 
 /// What [`shade`] keeps from frame to frame: the depths with a border of sky as wide as the neighbours are far, each row as
-/// [`PHASES`] rows. Pixels of a phase lie side by side there, and so do their neighbours: nothing is gathered.
+/// `PHASES` rows. Pixels of a phase lie side by side there, and so do their neighbours: nothing is gathered.
 #[derive(Default)]
 pub struct Scratch {
     depth: Vec<f32>,

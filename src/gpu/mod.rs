@@ -274,7 +274,7 @@ impl GpuRenderer {
         GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
     }
 
-    /// One on every adapter ([`Engine::adapters`]).
+    /// One on every adapter.
     pub fn on_all(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<Vec<GpuRenderer>> {
         let open = |adapter: &wgpu::Adapter| {
             GpuRenderer::with_engine(scene, resident, options, || Engine::on(adapter, options.trusted))

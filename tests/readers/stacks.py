@@ -26,7 +26,8 @@ def digest(solid):
 
 
 def found(planecast, path, *flags):
-    scene, said = planecast.encode(path, *flags)
+    """Voxels in the order in which they are stored, not turned upright nor made cubes."""
+    scene, said = planecast.encode(path, "--spacing", "as-is", "--up", "y", *flags)
     if scene is None:
         return "refused: " + said.strip()
     raw, dims = planecast.occupancy(scene)
