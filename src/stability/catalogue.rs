@@ -58,7 +58,7 @@ const TOUCHED: f64 = 0.1;
 
 /// The same, and the greatest error of depth, where the eye is a hair before a face: its distance from the face is rounded to a step
 /// of f32, and a ray along the face comes to it at that distance over the sine of a small angle. Measured: 0.39 % (`raycast` on a
-/// GPU) and 9.2 thousandths of a voxel.
+/// GPU) and 9.3 thousandths of a voxel.
 const HAIR: [f64; 2] = [0.5, 20.0];
 
 /// Greatest share of pixels, in percent, whose own rays meet something else than they show, where cells of coarser levels
