@@ -634,6 +634,15 @@ impl DrawArgs {
         self.repeat.axes()
     }
 
+    /// A sky that is left out needs an output that has transparency.
+    fn check_sky(&self, transparent: bool, output: &FilePath) -> Result<()> {
+        if self.sky == SkyArg::Shown || transparent {
+            return Ok(());
+        }
+        let output = output.display();
+        Err(Error::Argument(format!("--sky none: {output} has no transparency; write PNG, or a folder of them")))
+    }
+
     fn view(&self, size: [u32; 2]) -> View {
         View { fov: self.fov, size, repeat: self.repeat() }
     }
@@ -699,6 +708,7 @@ impl RenderArgs {
     fn run(&self) -> Result<()> {
         let begun = Instant::now();
         let picture = Picture::of(&self.output)?;
+        self.draw.check_sky(picture == Picture::Png, &self.output)?;
         let outputs = [
             ("--output", named_file(&self.output)),
             ("--depth", self.depth.as_ref()),
@@ -759,6 +769,7 @@ impl FlyArgs {
     fn run(&self) -> Result<()> {
         let begun = Instant::now();
         let kind = Kind::of(&self.output, self.encoder.as_ref())?;
+        self.draw.check_sky(matches!(kind, Kind::Folder), &self.output)?;
         if !self.plan {
             kind.check(self.size, self.fps)?;
         }

@@ -300,6 +300,16 @@ fn fly_says_that_an_odd_size_grows() {
     assert!(output.status.success() && !said.contains("is written as"), "{said}");
 }
 
+#[test]
+fn a_sky_that_is_left_out_needs_transparency() {
+    let dir = workplace();
+    let (status, said) = fails(dir.path(), "render hills.pcast -o a.jpg --sky none --device cpu");
+    assert_eq!((status, said.contains("has no transparency")), (2, true), "{said}");
+    let (status, said) = fails(dir.path(), "fly hills.pcast -o a.y4m --sky none --frames 2 --device cpu");
+    assert_eq!((status, said.contains("has no transparency")), (2, true), "{said}");
+    succeeds(dir.path(), "render hills.pcast -o a.png --sky none --device cpu --top --size 64x48");
+}
+
 #[cfg(any(feature = "h264", feature = "av1"))]
 #[test]
 fn join_of_parts_is_the_film_made_at_once() {
