@@ -63,7 +63,7 @@ fn cli_faults_of_the_input_exit_with_1_and_of_the_command_line_with_2() {
     assert!(!dir.join("b.raw").exists());
     let (status, text) = fails(dir, &["encode", "a.raw", "--dims", "2,2", "-o", "a.pcast"]);
     assert_eq!(status, Some(2));
-    assert!(text.contains("expected three whole numbers, as in 256,128,64"), "{text}");
+    assert!(text.contains("a volume has three sides; expected --dims X,Y,Z"), "{text}");
     assert_eq!(fails(dir, &["encode", "procedural:terrain?size=0", "-o", "a.pcast"]).0, Some(2));
     assert_eq!(fails(dir, &["query", "a.pcast", "1", "2"]).0, Some(2));
     let (_, text) = fails(dir, &["query", "a.pcast", "1", "2", "z"]);
