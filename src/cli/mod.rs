@@ -5,6 +5,7 @@
 
 pub mod demo;
 pub mod help;
+pub mod words;
 
 use std::ffi::{OsStr, OsString};
 use std::io::{self, IsTerminal, Write};

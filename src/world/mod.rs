@@ -6,6 +6,7 @@ pub mod tables;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use planecast_encoder::encode::memory;
 use planecast_encoder::inspect::info::{self, ByteCounts};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
@@ -15,7 +16,11 @@ use crate::world::tables::Resident;
 use crate::{Error, Result};
 
 #[cfg(not(target_arch = "wasm32"))]
-use planecast_encoder::encode::Watch;
+use planecast_encoder::encode::open::Opened;
+#[cfg(not(target_arch = "wasm32"))]
+use planecast_encoder::encode::{EncodeOptions, Watch};
+#[cfg(not(target_arch = "wasm32"))]
+use planecast_encoder::model::pieces::Pieces;
 
 /// A scene with all its levels, ready to be drawn and walked on.
 pub struct World {
@@ -55,6 +60,15 @@ fn is_scene(head: &[u8]) -> bool {
 
 impl World {
     fn of_file(file: &PcastFile, path: &Path, encoded: bool, skip_broken: bool, specialize: Features) -> Result<World> {
+        let need = file.scene_bytes_at_least();
+        if let Some(free) = memory::available().filter(|&free| free < need) {
+            let [nx, ny, nz] = file.dims();
+            let (path, need, free) = (path.display(), need.div_ceil(1 << 20), free >> 20);
+            return Err(Error::Limit(format!(
+                "{path}: {nx} × {ny} × {nz} voxels take at least {need} MiB of memory, {free} MiB are free; encode it smaller, \
+                 or open it on a machine that has more"
+            )));
+        }
         let info = info::info(file);
         let (scene, info) = if skip_broken {
             let (scene, _) = file.read_scene_without_broken()?;
@@ -62,7 +76,7 @@ impl World {
         } else {
             (file.read_scene()?, Some(info?))
         };
-        let resident = Arc::new(Resident::with(&scene, specialize));
+        let resident = Arc::new(Resident::try_with(&scene, specialize)?);
         let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
         Ok(World { path: path.to_owned(), encoded, scene: Arc::new(scene), resident, content_hash, bytes })
     }
@@ -79,7 +93,7 @@ impl World {
     /// From an input as an importer gives it.
     pub fn of_input(name: &Path, input: Input) -> Result<World> {
         let scene = planecast_encoder::build(input, &Default::default())?;
-        let resident = Arc::new(Resident::new(&scene));
+        let resident = Arc::new(Resident::try_with(&scene, Features::ALL)?);
         let (content_hash, bytes) = Default::default();
         Ok(World { path: name.to_owned(), encoded: true, scene: Arc::new(scene), resident, content_hash, bytes })
     }
@@ -143,6 +157,25 @@ impl World {
         let opened = planecast_encoder::encode::open::open(path, &how.read, watch, &mut |_| {})?;
         let skip_broken = how.skip_broken && !opened.encoded;
         World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)
+    }
+
+    /// What [`planecast_encoder::encode::open::open`] found at `path`.
+    ///
+    /// # Errors
+    /// As [`World::open`].
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn of_opened(opened: Opened, path: &Path) -> Result<Arc<World>> {
+        World::of_file(&opened.file, path, opened.encoded, false, Features::ALL).map(Arc::new)
+    }
+
+    /// A world that comes in pieces, encoded as `encode` would, within its budget of memory; `name` is what errors call it.
+    ///
+    /// # Errors
+    /// Those of the pieces, and [`Error::Limit`] where memory or room for temporary files is out.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn from_pieces(pieces: &dyn Pieces, options: &EncodeOptions, name: &Path, watch: &Watch) -> Result<Arc<World>> {
+        let file = planecast_encoder::encode::encode_unnamed(pieces, options, name, watch)?;
+        World::of_file(&file, name, true, false, Features::ALL).map(Arc::new)
     }
 
     /// What a window calls it.

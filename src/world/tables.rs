@@ -13,8 +13,12 @@
 //! ```
 
 use crate::frame::specialize::{Feature, Features};
-use planecast_encoder::{ColorMode, Columns, Rgb, Run, Scene};
+use crate::{Error, Result};
+use bytemuck::Zeroable;
+use planecast_encoder::model::filled::{filled, starts};
+use planecast_encoder::{ColorMode, Columns, Level, Rgb, Run, Scene};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Columns a side of a block whose height bounds are kept.
 pub const BLOCK_SHIFT: u32 = 3;
@@ -57,7 +61,8 @@ pub enum Table {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Paint {
     None,
-    /// Colour of the one run of column `i`: `colors[i]`. Of a level with heights.
+    /// Colour of the one run of column `i`: `colors[i]`. Of a level with heights, where voxels have no colours of their own, or
+    /// all of a column the same.
     Column {
         colors: Vec<u32>,
     },
@@ -92,35 +97,26 @@ pub fn pack_rgb(c: Rgb) -> u32 {
 }
 
 impl Resident {
-    /// The tables with all that the scene does not need left out.
+    /// The tables with all that the scene does not need left out. Panics where [`Resident::with`] does.
     pub fn new(scene: &Scene) -> Resident {
         Resident::with(scene, Features::ALL)
     }
 
-    /// The tables with nothing left out but what `features` names.
+    /// The tables with nothing left out but what `features` names. Panics where [`Resident::try_with`] has an error.
     pub fn with(scene: &Scene, features: Features) -> Resident {
+        Resident::try_with(scene, features).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// The same for scenes of any size.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where memory is out, or a level has more words of runs or colours than 32 bits count.
+    pub fn try_with(scene: &Scene, features: Features) -> Result<Resident> {
         let heights = features.has(Feature::Heights)
             && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
-        let levels = scene.levels.par_iter().map(|level| {
-            let geometry = level.geometry(scene.encoding);
-            let paint = match scene.color {
-                ColorMode::None => Paint::None,
-                ColorMode::Run if heights => column_paint(geometry, &level.colors),
-                ColorMode::Run => run_paint(geometry, &level.colors),
-                ColorMode::Voxel => {
-                    let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
-                    voxel_paint(exposed, &level.colors)
-                }
-            };
-            let column_colors = match (&level.exposed, scene.color) {
-                (Some(exposed), ColorMode::Voxel) if heights => {
-                    exposed.voxel_offsets().into_iter().map(|n| n as u32).collect()
-                }
-                _ => Vec::new(),
-            };
-            ResidentLevel { column_colors, ..resident_level(geometry, paint, heights) }
-        });
-        Resident { dims: scene.dims(), color: scene.color, levels: levels.collect(), heights }
+        let levels = scene.levels.iter().map(|level| resident_level(level, scene, heights));
+        let levels = levels.collect::<Result<_>>()?;
+        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights })
     }
 
     /// Bytes that the tables take.
@@ -178,88 +174,236 @@ pub fn run_of_height(height: u16) -> u32 {
     if height == 0 { EMPTY } else { (u32::from(height) - 1) << 16 }
 }
 
+/// Columns that a thread makes at a time, about.
+const PART: usize = 1 << 14;
+
+/// A level's rows, some at a time, so that all threads make tables: whole blocks, and enough columns each.
+struct Parts {
+    nx: usize,
+    nz: usize,
+    rows: usize,
+}
+
+impl Parts {
+    fn new(geometry: &Columns) -> Parts {
+        let (nx, nz) = (geometry.nx() as usize, geometry.nz() as usize);
+        let block = 1 << BLOCK_SHIFT;
+        Parts { nx, nz, rows: (PART / nx).max(1).next_multiple_of(block) }
+    }
+
+    fn n(&self) -> usize {
+        self.nz.div_ceil(self.rows)
+    }
+
+    /// Numbers of the columns of a part.
+    fn columns(&self, part: usize) -> Range<usize> {
+        part * self.rows * self.nx..((part + 1) * self.rows).min(self.nz) * self.nx
+    }
+
+    /// How many values each part has.
+    fn lens(&self, of: impl Fn(Range<usize>) -> usize + Sync) -> Vec<usize> {
+        (0..self.n()).into_par_iter().map(|part| of(self.columns(part))).collect()
+    }
+
+    /// A value for each column.
+    fn map<T: Zeroable + Send>(&self, what: &str, value: impl Fn(usize) -> T + Sync) -> Result<Vec<T>> {
+        let lens = self.lens(|columns| columns.len());
+        Ok(filled(&lens, what, |part, out| {
+            self.columns(part).zip(out).for_each(|(ix, out)| *out = value(ix));
+        })?)
+    }
+}
+
 /// Whether each column is empty or one run from the ground up, whose height fits 16 bits.
 fn is_height_field(geometry: &Columns) -> bool {
-    let n = geometry.offsets().len() - 1;
-    (0..n).all(|ix| match &geometry.runs()[geometry.range(ix)] {
+    let parts = Parts::new(geometry);
+    let has_height = |ix| match &geometry.runs()[geometry.range(ix)] {
         [] => true,
         [run] => run.first() == 0 && run.end() <= u32::from(u16::MAX),
         _ => false,
+    };
+    (0..parts.n()).into_par_iter().all(|part| parts.columns(part).all(has_height))
+}
+
+fn height_table(geometry: &Columns) -> Result<Table> {
+    let parts = Parts::new(geometry);
+    let mut lens = parts.lens(|columns| columns.len());
+    lens.push(parts.nx * parts.nz % 2);
+    let heights = filled(&lens, "columns", |part, out: &mut [u16]| {
+        let columns = if part < parts.n() { parts.columns(part) } else { 0..0 };
+        let height = |ix| geometry.runs()[geometry.range(ix)].first().map_or(0, |run| run.end() as u16);
+        columns.zip(out).for_each(|(ix, out)| *out = height(ix));
+    })?;
+    Ok(Table::Heights(heights))
+}
+
+fn run_table(geometry: &Columns) -> Result<Table> {
+    let parts = Parts::new(geometry);
+    let column = |ix| &geometry.runs()[geometry.range(ix)];
+    // A column of one run has no word of its own, one of n runs their number and n − 1 of them.
+    let words = |ix| if column(ix).len() > 1 { column(ix).len() } else { 0 };
+    let mut lens = parts.lens(|columns| columns.map(words).sum());
+    lens.insert(0, 1);
+    let starts = starts(&lens);
+    let n = starts[lens.len()];
+    if u32::try_from(n).is_err() {
+        return Err(Error::Limit(format!("a level with {n} words of runs, at most 2³² − 1 can be drawn")));
+    }
+    let lens_of_columns = parts.lens(|columns| columns.len());
+    let columns = filled(&lens_of_columns, "columns", |part, out: &mut [[u32; 2]]| {
+        let mut at = starts[part + 1];
+        for (ix, out) in parts.columns(part).zip(out) {
+            let more = if words(ix) > 0 { at as u32 } else { 0 };
+            *out = [column(ix).last().map_or(EMPTY, |top| top.0), more];
+            at += words(ix);
+        }
+    })?;
+    // Word 0 stays 0.
+    let runs = filled(&lens, "runs", |part, mut out: &mut [u32]| {
+        let Some(part) = part.checked_sub(1) else { return };
+        for ix in parts.columns(part) {
+            let Some((_, rest @ [_, ..])) = column(ix).split_last() else { continue };
+            let (now, after) = out.split_at_mut(1 + rest.len());
+            now[0] = rest.len() as u32;
+            now[1..].iter_mut().zip(rest.iter().rev()).for_each(|(out, run)| *out = run.0);
+            out = after;
+        }
+    })?;
+    Ok(Table::Runs { columns, runs })
+}
+
+fn resident_level(level: &Level, scene: &Scene, heights: bool) -> Result<ResidentLevel> {
+    let geometry = level.geometry(scene.encoding);
+    let (nx, nz) = (geometry.nx(), geometry.nz());
+    let table = if heights { height_table(geometry)? } else { run_table(geometry)? };
+    let mut column_colors = Vec::new();
+    let paint = match scene.color {
+        ColorMode::None => Paint::None,
+        ColorMode::Run if heights => column_paint(geometry, |ix| level.colors[geometry.range(ix)].first())?,
+        ColorMode::Run => run_paint(geometry, &level.colors)?,
+        ColorMode::Voxel => {
+            let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
+            let first = first_voxels(exposed)?;
+            if heights && one_color_each(&first, &level.colors) {
+                column_paint(geometry, |ix| level.colors[first[ix] as usize..first[ix + 1] as usize].first())?
+            } else {
+                let paint = voxel_paint(exposed, &first, &level.colors)?;
+                if heights {
+                    column_colors = first;
+                }
+                paint
+            }
+        }
+    };
+    let blocks = blocks(geometry)?;
+    let found = blocks.par_iter().filter(|&&block| block != EMPTY);
+    let (bottom, top) = found
+        .map(|&block| (block & 0xFFFF, (block >> 16) + 1))
+        .reduce(|| (u32::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+    Ok(ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, column_colors })
+}
+
+/// Height bounds of 8 × 8 columns.
+fn blocks(geometry: &Columns) -> Result<Vec<u32>> {
+    let parts = Parts::new(geometry);
+    let row = parts.nx.div_ceil(1 << BLOCK_SHIFT);
+    let lens = parts.lens(|columns| (columns.len() / parts.nx).div_ceil(1 << BLOCK_SHIFT) * row);
+    Ok(filled(&lens, "blocks", |part, out: &mut [u32]| {
+        out.fill(EMPTY);
+        let columns = parts.columns(part);
+        for (i, column) in columns.map(|ix| &geometry.runs()[geometry.range(ix)]).enumerate() {
+            let [lowest, .., highest] = column else {
+                let [run] = column else { continue };
+                widen(&mut out[block_of(i, parts.nx, row)], *run, *run);
+                continue;
+            };
+            widen(&mut out[block_of(i, parts.nx, row)], *lowest, *highest);
+        }
+    })?)
+}
+
+/// Number of the block of the `i`th column of a part.
+fn block_of(i: usize, nx: usize, row: usize) -> usize {
+    ((i / nx) >> BLOCK_SHIFT) * row + ((i % nx) >> BLOCK_SHIFT)
+}
+
+fn widen(block: &mut u32, lowest: Run, highest: Run) {
+    let (first, last) = (*block as u16, (*block >> 16) as u16);
+    *block = u32::from(first.min(lowest.first())) | u32::from(last.max(highest.last())) << 16;
+}
+
+/// Number of the first colour of each column, and of all colours.
+fn first_voxels(exposed: &Columns) -> Result<Vec<u32>> {
+    let parts = Parts::new(exposed);
+    let voxels = |ix| exposed.runs()[exposed.range(ix)].iter().map(|run| run.len() as usize).sum::<usize>();
+    let starts = starts(&parts.lens(|columns| columns.map(voxels).sum()));
+    let n = starts[parts.n()];
+    if u32::try_from(n).is_err() {
+        return Err(Error::Limit(format!("a level with {n} colours, at most 2³² − 1 can be drawn")));
+    }
+    let mut lens = parts.lens(|columns| columns.len());
+    lens.push(1);
+    Ok(filled(&lens, "columns", |part, out: &mut [u32]| {
+        let mut at = starts[part];
+        out[0] = at as u32;
+        let columns = if part < parts.n() { parts.columns(part) } else { 0..0 };
+        for (ix, out) in columns.zip(out) {
+            *out = at as u32;
+            at += voxels(ix);
+        }
+    })?)
+}
+
+/// Whether all voxels of each column have one colour, as those of a map that is laid over heights have.
+fn one_color_each(first: &[u32], colors: &[Rgb]) -> bool {
+    first.par_windows(2).all(|column| {
+        let column = &colors[column[0] as usize..column[1] as usize];
+        column.iter().all(|color| *color == column[0])
     })
 }
 
-fn height_table(geometry: &Columns) -> Table {
-    let n = geometry.offsets().len() - 1;
-    let height = |ix| geometry.runs()[geometry.range(ix)].first().map_or(0, |run| run.end() as u16);
-    Table::Heights((0..n).map(height).chain((n % 2 == 1).then_some(0)).collect())
+fn column_paint<'a>(geometry: &Columns, color: impl Fn(usize) -> Option<&'a Rgb> + Sync) -> Result<Paint> {
+    let colors = Parts::new(geometry).map("colours", |ix| color(ix).map_or(0, |&c| pack_rgb(c)))?;
+    Ok(Paint::Column { colors })
 }
 
-fn run_table(geometry: &Columns) -> Table {
-    let n = geometry.offsets().len() - 1;
-    let mut columns = Vec::with_capacity(n);
-    let mut runs = vec![0];
-    for ix in 0..n {
-        let column = &geometry.runs()[geometry.range(ix)];
-        let Some((top, rest)) = column.split_last() else {
-            columns.push([EMPTY, 0]);
-            continue;
-        };
-        let mut more = 0;
-        if !rest.is_empty() {
-            more = u32::try_from(runs.len()).expect("at most 2³² words of runs a level");
-            runs.push(rest.len() as u32);
-            runs.extend(rest.iter().rev().map(|r| r.0));
+fn run_paint(geometry: &Columns, colors: &[Rgb]) -> Result<Paint> {
+    let parts = Parts::new(geometry);
+    let base = parts.map("columns", |ix| geometry.offsets()[ix])?;
+    let lens =
+        parts.lens(|columns| geometry.offsets()[columns.end] as usize - geometry.offsets()[columns.start] as usize);
+    let colors = filled(&lens, "colours", |part, out: &mut [u32]| {
+        let of_column = |ix| colors[geometry.range(ix)].iter().rev();
+        parts.columns(part).flat_map(of_column).zip(out).for_each(|(&c, out)| *out = pack_rgb(c));
+    })?;
+    Ok(Paint::Run { base, colors })
+}
+
+fn voxel_paint(exposed: &Columns, first: &[u32], colors: &[Rgb]) -> Result<Paint> {
+    let parts = Parts::new(exposed);
+    let mut lens = parts.lens(|columns| columns.len());
+    lens.push(1);
+    let base = filled(&lens, "columns", |part, out: &mut [u32]| {
+        let start = part * parts.rows * parts.nx;
+        let start = start.min(parts.nx * parts.nz);
+        out.copy_from_slice(&exposed.offsets()[start..start + out.len()]);
+    })?;
+    let lens =
+        parts.lens(|columns| exposed.offsets()[columns.end] as usize - exposed.offsets()[columns.start] as usize);
+    let runs = filled(&lens, "runs", |part, out: &mut [[u32; 2]]| {
+        let columns = parts.columns(part);
+        let mut at = first[columns.start];
+        let runs = exposed.offsets()[columns.start] as usize..exposed.offsets()[columns.end] as usize;
+        for (run, out) in exposed.runs()[runs].iter().zip(out) {
+            *out = [run.0, at];
+            at += run.len();
         }
-        columns.push([top.0, more]);
-    }
-    Table::Runs { columns, runs }
-}
-
-fn resident_level(geometry: &Columns, paint: Paint, heights: bool) -> ResidentLevel {
-    let (nx, nz) = (geometry.nx(), geometry.nz());
-    let table = if heights { height_table(geometry) } else { run_table(geometry) };
-    let (bx, bz) = (nx.div_ceil(1 << BLOCK_SHIFT), nz.div_ceil(1 << BLOCK_SHIFT));
-    let mut blocks = vec![EMPTY; bx as usize * bz as usize];
-    let (mut bottom, mut top) = (u32::MAX, 0);
-    for z in 0..nz {
-        for x in 0..nx {
-            let column = geometry.column(x, z);
-            let (Some(lowest), Some(highest)) = (column.first(), column.last()) else { continue };
-            let block = &mut blocks[((z >> BLOCK_SHIFT) * bx + (x >> BLOCK_SHIFT)) as usize];
-            let (first, last) = (*block as u16, (*block >> 16) as u16);
-            *block = u32::from(first.min(lowest.first())) | u32::from(last.max(highest.last())) << 16;
-            bottom = bottom.min(u32::from(lowest.first()));
-            top = top.max(highest.end());
-        }
-    }
-    ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, column_colors: Vec::new() }
-}
-
-fn column_paint(geometry: &Columns, colors: &[Rgb]) -> Paint {
-    let n = geometry.offsets().len() - 1;
-    let color = |ix| colors[geometry.range(ix)].first().map_or(0, |&c| pack_rgb(c));
-    Paint::Column { colors: (0..n).map(color).collect() }
-}
-
-fn run_paint(geometry: &Columns, colors: &[Rgb]) -> Paint {
-    let n = geometry.offsets().len() - 1;
-    let base = geometry.offsets()[..n].to_vec();
-    let colors = (0..n).flat_map(|ix| colors[geometry.range(ix)].iter().rev().map(|&c| pack_rgb(c))).collect();
-    Paint::Run { base, colors }
-}
-
-fn voxel_paint(exposed: &Columns, colors: &[Rgb]) -> Paint {
-    let mut at = 0;
-    let runs = exposed.runs().iter().map(|r| {
-        let start = at;
-        at += r.len();
-        [r.0, start]
+    })?;
+    let mut packed = vec![0; colors.len()];
+    packed.par_chunks_mut(PART).zip(colors.par_chunks(PART)).for_each(|(out, colors)| {
+        out.iter_mut().zip(colors).for_each(|(out, &c)| *out = pack_rgb(c));
     });
-    Paint::Voxel {
-        base: exposed.offsets().to_vec(),
-        exposed: runs.collect(),
-        colors: colors.iter().map(|&c| pack_rgb(c)).collect(),
-    }
+    Ok(Paint::Voxel { base, exposed: runs, colors: packed })
 }
 
 impl Paint {
@@ -307,4 +451,96 @@ pub fn nearest_exposed(column: &[[u32; 2]], y: u32) -> usize {
         k -= 1;
     }
     k
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planecast_encoder::{BuildOptions, Colors, Encoding, Input, build};
+
+    fn noise(x: u32, y: u32, z: u32) -> u32 {
+        let v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
+        (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8
+    }
+
+    /// Of several parts, whose sides are no whole blocks.
+    fn scene(
+        solid: impl Fn(u32, u32, u32) -> bool + Sync,
+        encoding: Encoding,
+        color: ColorMode,
+        draped: bool,
+    ) -> Scene {
+        let columns = Columns::from_fn(203, 11, 190, solid);
+        let of = move |x, y, z| {
+            let y = if draped { 0 } else { y };
+            noise(x, y, z).to_le_bytes()[..3].try_into().unwrap()
+        };
+        let input = Input { columns, colors: Colors::Function(Box::new(of)), notes: Vec::new() };
+        build(input, &BuildOptions { encoding, color: Some(color), ..BuildOptions::default() }).unwrap()
+    }
+
+    /// Each column, block and colour, as the scene's own lists have them.
+    fn check(scene: &Scene, features: Features) -> Resident {
+        let resident = Resident::with(scene, features);
+        for (level, tables) in scene.levels.iter().zip(&resident.levels) {
+            let geometry = level.geometry(scene.encoding);
+            let shown = level.exposed.as_ref().map(|exposed| (exposed, exposed.voxel_offsets()));
+            let mut blocks = vec![EMPTY; tables.blocks.len()];
+            for ix in 0..geometry.offsets().len() - 1 {
+                let (x, z) = (ix as u32 % geometry.nx(), ix as u32 / geometry.nx());
+                let expected: Vec<Run> = geometry.column(x, z).iter().rev().copied().collect();
+                assert_eq!(tables.column(ix).collect::<Vec<_>>(), expected);
+                let (Some(highest), Some(lowest)) = (expected.first(), expected.last()) else { continue };
+                let block =
+                    ((z >> BLOCK_SHIFT) * geometry.nx().div_ceil(1 << BLOCK_SHIFT) + (x >> BLOCK_SHIFT)) as usize;
+                widen(&mut blocks[block], *lowest, *highest);
+                for (k, run) in expected.iter().enumerate() {
+                    let color = |y| tables.paint.color(ix, k as u32, y);
+                    match scene.color {
+                        ColorMode::None => assert_eq!(color(run.first().into()), UNPAINTED),
+                        ColorMode::Run => {
+                            let at = geometry.range(ix).end - 1 - k;
+                            assert_eq!(color(run.first().into()), pack_rgb(level.colors[at]));
+                        }
+                        ColorMode::Voxel => {
+                            let (exposed, first) = shown.as_ref().unwrap();
+                            let mut at = first[ix] as usize;
+                            for y in exposed.column(x, z).iter().flat_map(|r| u32::from(r.first())..r.end()) {
+                                let inside = (u32::from(run.first())..run.end()).contains(&y);
+                                assert!(!inside || color(y) == pack_rgb(level.colors[at]), "column {ix} voxel {y}");
+                                at += 1;
+                            }
+                        }
+                    }
+                }
+            }
+            assert_eq!(tables.blocks, blocks);
+            let ends = geometry.runs().iter().map(|r| r.end()).max().unwrap_or(0);
+            assert_eq!((tables.top, tables.bottom.min(ends)), (ends, tables.bottom));
+        }
+        resident
+    }
+
+    #[test]
+    fn tables_hold_the_scenes_columns_and_colors() {
+        let caves = |x, y, z| noise(x / 3, y, z / 3) % 5 < 2;
+        let hills = |x: u32, y: u32, z: u32| y <= noise(x / 40, 0, z / 40) % 9;
+        for encoding in [Encoding::Solid, Encoding::Surface] {
+            for color in [ColorMode::None, ColorMode::Run, ColorMode::Voxel] {
+                for draped in [false, true] {
+                    check(&scene(caves, encoding, color, draped), Features::ALL);
+                }
+            }
+        }
+        for (color, draped) in [(ColorMode::Run, false), (ColorMode::Voxel, false), (ColorMode::Voxel, true)] {
+            let hills = scene(hills, Encoding::Solid, color, draped);
+            check(&hills, Features::NONE);
+            let resident = check(&hills, Features::ALL);
+            assert!(resident.heights);
+            // Of level 0, whose colours are those of the map itself.
+            let one_each = matches!(resident.levels[0].paint, Paint::Column { .. });
+            assert_eq!(one_each, draped || color == ColorMode::Run);
+            assert_eq!(resident.levels[0].column_colors.is_empty(), one_each);
+        }
+    }
 }

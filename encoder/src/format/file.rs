@@ -21,6 +21,7 @@ use crate::format::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Pa
 use crate::format::metadata;
 use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
 use crate::model::exposure;
+use crate::model::filled::{filled, starts};
 use crate::store::guard::Map;
 use crate::{About, ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene};
 
@@ -344,6 +345,23 @@ impl PcastFile {
         if blob.is_sound(entry) { Ok(()) } else { blob.check_figures(&blob.level()?, entry) }
     }
 
+    /// Bytes of memory that the whole scene takes at least, by its directory alone.
+    pub fn scene_bytes_at_least(&self) -> u64 {
+        let shows = Modes { encoding: self.encoding, color: self.color }.shows();
+        let columns: u64 = self.grids.iter().map(|g| u64::from(g.dims[0]) * u64::from(g.dims[2])).sum();
+        let tile = |e: &TileEntry| {
+            let colors = match self.color {
+                ColorMode::None => 0,
+                ColorMode::Run => u64::from(e.n_runs),
+                ColorMode::Voxel => e.n_exposed,
+            };
+            (size_of::<Run>() as u64 * u64::from(e.n_runs))
+                .saturating_add(colors.saturating_mul(size_of::<Rgb>() as u64))
+        };
+        let offsets = size_of::<u32>() as u64 * columns * if shows { 2 } else { 1 };
+        self.entries.iter().map(tile).fold(offsets, u64::saturating_add)
+    }
+
     /// The whole scene, every byte of it checked.
     pub fn read_scene(&self) -> Result<Scene> {
         self.read_scene_from(0)
@@ -370,7 +388,7 @@ impl PcastFile {
         let tiles: Vec<(u32, u32)> =
             (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz))).collect();
         // An empty tile costs 48 bytes in the file: its columns are not made before they are needed.
-        let tiles: Vec<Option<Level>> = tiles
+        let mut tiles: Vec<Option<Level>> = tiles
             .into_par_iter()
             .map(|(tx, tz)| {
                 let empty = self.entries[self.tile_ix(k, tx, tz)].is_empty();
@@ -385,68 +403,93 @@ impl PcastFile {
             .collect::<Result<_>>()?;
         let all_there =
             tiles.iter().zip(&self.entries[grid.first as usize..]).all(|(t, e)| t.is_some() || e.is_empty());
-        let tile = |tx: u32, tz: u32| tiles[tz as usize * grid.tiles[0] as usize + tx as usize].as_ref();
-
-        let solid = self.join(k, |tx, tz| tile(tx, tz).map(|l| &l.solid))?;
+        let number = |tx: u32, tz: u32| tz as usize * grid.tiles[0] as usize + tx as usize;
+        let solid = self.join(k, |tx, tz| tiles[number(tx, tz)].as_ref().map(|l| &l.solid))?;
+        // Where the colours of each row of columns begin in their tile.
+        let rows: Vec<Vec<usize>> = tiles
+            .par_iter()
+            .map(|level| match (level, self.color) {
+                (None, _) | (_, ColorMode::None) => Vec::new(),
+                (Some(level), ColorMode::Run) => color_rows(level.geometry(self.encoding), |_| 1),
+                (Some(level), ColorMode::Voxel) => {
+                    let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
+                    color_rows(exposed, |run| run.len() as usize)
+                }
+            })
+            .collect();
+        // What has been put together is not kept twice.
+        tiles.iter_mut().flatten().for_each(|l| l.solid = Columns::default());
         let shows = self.encoding == Encoding::Surface || self.color == ColorMode::Voxel;
-        let exposed =
-            shows.then(|| self.join(k, |tx, tz| tile(tx, tz).and_then(|l| l.exposed.as_ref()))).transpose()?;
+        let exposed = shows
+            .then(|| self.join(k, |tx, tz| tiles[number(tx, tz)].as_ref().and_then(|l| l.exposed.as_ref())))
+            .transpose()?;
+        tiles.iter_mut().flatten().for_each(|l| l.exposed = None);
         if let (Some(exposed), true) = (&exposed, all_there) {
             self.check_exposure(k, &solid, exposed)?;
         }
 
-        let n_colors: usize = tiles.iter().flatten().map(|l| l.colors.len()).sum();
-        let mut colors = reserved(n_colors as u64, "colours")?;
-        if n_colors > 0 {
-            let starts: Vec<Option<Vec<u64>>> = tiles
-                .par_iter()
-                .map(|level| {
-                    let level = level.as_ref()?;
-                    Some(match self.color {
-                        ColorMode::Voxel => level.exposed.as_ref()?.voxel_offsets(),
-                        _ => level.geometry(self.encoding).offsets().iter().map(|&n| u64::from(n)).collect(),
-                    })
-                })
-                .collect();
-            for z in 0..grid.dims[2] {
-                for tx in 0..grid.tiles[0] {
-                    let ix = (z / format::TILE) as usize * grid.tiles[0] as usize + tx as usize;
-                    let (Some(level), Some(starts)) = (&tiles[ix], &starts[ix]) else { continue };
-                    let row = row(&level.solid, z);
-                    colors.extend_from_slice(&level.colors[starts[row.start] as usize..starts[row.end] as usize]);
+        let of_row = |tz: usize| tz * grid.tiles[0] as usize..(tz + 1) * grid.tiles[0] as usize;
+        let n_colors = |tz| tiles[of_row(tz)].iter().flatten().map(|l| l.colors.len()).sum();
+        let n_colors: Vec<usize> = (0..grid.tiles[1] as usize).map(n_colors).collect();
+        let colors = filled(&n_colors, "colours", |tz, mut out: &mut [Rgb]| {
+            for z in 0..grid.columns(0, tz as u32)[1].len() {
+                for (level, rows) in tiles[of_row(tz)].iter().zip(&rows[of_row(tz)]) {
+                    let (Some(level), false) = (level, rows.is_empty()) else { continue };
+                    let part = &level.colors[rows[z]..rows[z + 1]];
+                    let (now, after) = out.split_at_mut(part.len());
+                    now.copy_from_slice(part);
+                    out = after;
                 }
             }
-        }
+        })?;
         Ok(Level { solid, exposed, colors })
     }
 
     /// Puts the columns of a level's tiles together.
-    fn join<'a>(&self, k: usize, tile: impl Fn(u32, u32) -> Option<&'a Columns>) -> Result<Columns> {
+    fn join<'a>(&self, k: usize, tile: impl Fn(u32, u32) -> Option<&'a Columns> + Sync) -> Result<Columns> {
         let grid = &self.grids[k];
         let [nx, ny, nz] = grid.dims;
-        let tiles = || (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz)));
-        let n_runs: u64 = tiles().filter_map(|(tx, tz)| tile(tx, tz)).map(|c| c.runs().len() as u64).sum();
-        if u32::try_from(n_runs).is_err() {
-            return Err(Error::Limit(format!("level {k} has {n_runs} runs, a level holds at most 2³² − 1")));
+        let of_row = |tz: usize| (0..grid.tiles[0]).map(move |tx| (tx, tz as u32));
+        let n_runs = |tz| of_row(tz).filter_map(|(tx, tz)| tile(tx, tz)).map(|c| c.runs().len()).sum();
+        let n_runs: Vec<usize> = (0..grid.tiles[1] as usize).map(n_runs).collect();
+        let starts = starts(&n_runs);
+        let n = starts[n_runs.len()];
+        if u32::try_from(n).is_err() {
+            return Err(Error::Limit(format!("level {k} has {n} runs, a level holds at most 2³² − 1")));
         }
-        let mut offsets: Vec<u32> = reserved(u64::from(nx) * u64::from(nz) + 1, "columns")?;
-        let mut runs: Vec<Run> = reserved(n_runs, "runs")?;
-        offsets.push(0);
-        for z in 0..nz {
-            for tx in 0..grid.tiles[0] {
-                let tz = z / format::TILE;
-                let base = runs.len() as u32;
-                match tile(tx, tz) {
-                    Some(columns) => {
-                        let row = row(columns, z);
-                        let part = &columns.offsets()[row.start..=row.end];
-                        offsets.extend(part[1..].iter().map(|o| base + (o - part[0])));
-                        runs.extend_from_slice(&columns.runs()[part[0] as usize..part[row.len()] as usize]);
-                    }
-                    None => offsets.resize(offsets.len() + grid.columns(tx, tz)[0].len(), base),
+        // The columns of a row of tiles are a part of the table; before all of them stands a 0.
+        let zs = |tz: usize| grid.columns(0, tz as u32)[1].clone();
+        let ends = (0..grid.tiles[1] as usize).map(|tz| zs(tz).len() * nx as usize);
+        let ends: Vec<usize> = std::iter::once(1).chain(ends).collect();
+        let offsets = filled(&ends, "columns", |i, mut out: &mut [u32]| {
+            let Some(tz) = i.checked_sub(1) else { return };
+            let mut base = starts[tz] as u32;
+            for z in zs(tz) {
+                for (tx, tz) in of_row(tz) {
+                    let (now, after) = out.split_at_mut(grid.columns(tx, tz)[0].len());
+                    out = after;
+                    let Some(columns) = tile(tx, tz) else {
+                        now.fill(base);
+                        continue;
+                    };
+                    let row = row(columns, z);
+                    let part = &columns.offsets()[row.start..=row.end];
+                    now.iter_mut().zip(&part[1..]).for_each(|(out, o)| *out = base + (o - part[0]));
+                    base += part[row.len()] - part[0];
                 }
             }
-        }
+        })?;
+        let runs = filled(&n_runs, "runs", |tz, mut out: &mut [Run]| {
+            for z in zs(tz) {
+                for columns in of_row(tz).filter_map(|(tx, tz)| tile(tx, tz)) {
+                    let row = row(columns, z);
+                    let part = columns.offsets()[row.start] as usize..columns.offsets()[row.end] as usize;
+                    let (now, after) = out.split_at_mut(part.len());
+                    now.copy_from_slice(&columns.runs()[part]);
+                    out = after;
+                }
+            }
+        })?;
         Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
     }
 
@@ -492,14 +535,7 @@ impl PcastFile {
 
     /// The exposed voxels must be just those with an exposed face: renderers look up colours by them.
     fn check_exposure(&self, k: usize, solid: &Columns, exposed: &Columns) -> Result<()> {
-        let expected = exposure::exposed(solid);
-        if expected == *exposed {
-            return Ok(());
-        }
-        let n_columns = solid.offsets().len() - 1;
-        let of = |columns: &Columns, ix: usize| columns.runs()[columns.range(ix)].to_vec();
-        let ix = (0..n_columns).find(|&ix| of(&expected, ix) != of(exposed, ix)).unwrap_or(0);
-        let (x, z) = (ix % solid.nx() as usize, ix / solid.nx() as usize);
+        let Some([x, z]) = exposure::find_wrong(solid, exposed) else { return Ok(()) };
         Err(Error::format(
             &self.path,
             format!(
@@ -531,20 +567,19 @@ fn too_short(path: &Path, len: u64) -> Error {
     Error::format(path, format!("{len} bytes; a .pcast scene has a header of 64"))
 }
 
-/// An empty vector with room for `n` values, or an error instead of an abort.
-fn reserved<T>(n: u64, what: &str) -> Result<Vec<T>> {
-    let mut values = Vec::new();
-    usize::try_from(n)
-        .ok()
-        .and_then(|n| values.try_reserve_exact(n).ok())
-        .ok_or_else(|| Error::Limit(format!("no memory for {n} {what}")))?;
-    Ok(values)
-}
-
 /// The columns of row `z` of the world in the tile that holds it.
 fn row(tile: &Columns, z: u32) -> Range<usize> {
     let row = (z % format::TILE) as usize;
     row * tile.nx() as usize..(row + 1) * tile.nx() as usize
+}
+
+/// Where the colours of each row of a tile begin, and where the last ends; a run has as many as `colors` says.
+fn color_rows(columns: &Columns, colors: impl Fn(Run) -> usize) -> Vec<usize> {
+    let width = columns.nx() as usize;
+    let ends = columns.offsets().iter().step_by(width);
+    let rows = ends.clone().zip(ends.skip(1)).map(|(&start, &end)| start as usize..end as usize);
+    let lens: Vec<usize> = rows.map(|row| columns.runs()[row].iter().map(|&run| colors(run)).sum()).collect();
+    starts(&lens)
 }
 
 /// Bounds and overlaps; an error names the tile by its number in the directory.

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::model::filled::{filled, starts};
 use crate::{Error, Result, Run};
 
 /// The run lists of `nx × nz` columns, each `ny` high. Column `(x, z)` is number `z·nx + x`; its runs ascend, do
@@ -81,14 +82,16 @@ impl Columns {
         if u32::try_from(n_runs).is_err() {
             return Err(Error::Limit(format!("the world has {n_runs} runs, at most {} can be held", u32::MAX)));
         }
-        let mut offsets = Vec::with_capacity(nx as usize * nz as usize + 1);
-        let mut runs = Vec::with_capacity(n_runs);
-        offsets.push(0);
-        for part in parts {
-            let base = runs.len() as u32;
-            offsets.extend(part.offsets[1..].iter().map(|o| base + o));
-            runs.extend_from_slice(&part.runs);
-        }
+        let n_runs: Vec<usize> = parts.iter().map(|p| p.runs.len()).collect();
+        let starts = starts(&n_runs);
+        // The first offset is 0 and no column's end.
+        let ends: Vec<usize> = std::iter::once(1).chain(parts.iter().map(|p| p.offsets.len() - 1)).collect();
+        let offsets = filled(&ends, "columns", |i, out: &mut [u32]| {
+            let Some(i) = i.checked_sub(1) else { return };
+            let base = starts[i] as u32;
+            out.iter_mut().zip(&parts[i].offsets[1..]).for_each(|(out, o)| *out = base + o);
+        })?;
+        let runs = filled(&n_runs, "runs", |i, out| out.copy_from_slice(&parts[i].runs))?;
         Ok(Columns::from_parts(nx, ny, nz, offsets, runs))
     }
 

@@ -1,5 +1,7 @@
 //! Which voxels show a face.
 
+use rayon::prelude::*;
+
 use crate::{Columns, ColumnsBuilder, Run};
 
 /// The voxels of `solid` with an exposed face: one of the six neighbours is air or lies outside the world.
@@ -8,18 +10,32 @@ use crate::{Columns, ColumnsBuilder, Run};
 /// neighbour columns.
 pub fn exposed(solid: &Columns) -> Columns {
     let [nx, ny, nz] = solid.dims();
-    Columns::from_rows(nx, ny, nz, |z, out| {
-        for x in 0..nx {
-            let column = solid.column(x, z);
-            if x == 0 || z == 0 || x == nx - 1 || z == nz - 1 {
-                column.iter().for_each(|&run| out.push_run(run));
-            } else {
-                let neighbours = [(x - 1, z), (x + 1, z), (x, z - 1), (x, z + 1)].map(|(x, z)| solid.column(x, z));
-                expose(column, neighbours, out);
-            }
-            out.end_column();
-        }
+    Columns::from_rows(nx, ny, nz, |z, out| expose_row(solid, z, out))
+}
+
+/// The first column whose runs in `exposed` are not just its voxels with an exposed face.
+pub fn find_wrong(solid: &Columns, exposed: &Columns) -> Option<[u32; 2]> {
+    let [nx, ny, nz] = solid.dims();
+    (0..nz).into_par_iter().find_map_first(|z| {
+        let mut row = ColumnsBuilder::new(nx, ny, 1);
+        expose_row(solid, z, &mut row);
+        let row = row.finish();
+        (0..nx).find(|&x| row.column(x, 0) != exposed.column(x, z)).map(|x| [x, z])
     })
+}
+
+fn expose_row(solid: &Columns, z: u32, out: &mut ColumnsBuilder) {
+    let [nx, _, nz] = solid.dims();
+    for x in 0..nx {
+        let column = solid.column(x, z);
+        if x == 0 || z == 0 || x == nx - 1 || z == nz - 1 {
+            column.iter().for_each(|&run| out.push_run(run));
+        } else {
+            let neighbours = [(x - 1, z), (x + 1, z), (x, z - 1), (x, z + 1)].map(|(x, z)| solid.column(x, z));
+            expose(column, neighbours, out);
+        }
+        out.end_column();
+    }
 }
 
 fn expose(column: &[Run], mut neighbours: [&[Run]; 4], out: &mut ColumnsBuilder) {

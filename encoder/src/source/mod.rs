@@ -110,6 +110,7 @@ use crate::store::guard::Map;
 use crate::store::remote;
 use crate::{Error, Input, Result};
 
+pub use npy::{ArrayView, array};
 pub use relief::Exaggeration;
 
 /// Highest column that a scene can hold, in voxels.

@@ -12,8 +12,9 @@ use rayon::prelude::*;
 use super::heights::Heights;
 use super::tiff_pages::half;
 use super::volume::{Data, Sample, Stored, Volume, byte_len, with_sample};
-use super::{Dtype, ReadOptions, world_dims};
+use super::{Dtype, ReadOptions, heightmap, world_dims};
 use crate::model::about::Kind;
+use crate::model::pieces::Pieces;
 use crate::store::scratch;
 use crate::{About, Error, Result};
 
@@ -32,33 +33,74 @@ pub(super) fn plain_volume<'a>(path: &Path, bytes: &'a [u8]) -> Result<Option<St
 /// A NumPy array of two axes as heights, shape (row, column); None where it has three.
 pub(super) fn npy_heights(path: &Path, bytes: &[u8], in_file: bool) -> Result<Option<Heights>> {
     let array = Array::new(path, bytes)?;
-    if array.rank != 2 {
-        return Ok(None);
+    if array.rank != 2 { Ok(None) } else { array.heights(path, in_file.then_some(bytes)).map(Some) }
+}
+
+/// Values in memory as `numpy.ndarray` has them.
+#[derive(Clone, Copy, Debug)]
+pub struct ArrayView<'a> {
+    /// Three axes (z, y, x), a volume; or two (row, column), a height map.
+    pub shape: &'a [u64],
+    /// As `numpy.dtype` names it: "<f4", "uint8".
+    pub dtype: &'a str,
+    /// Whether the first axis is the fastest.
+    pub fortran: bool,
+    /// Exactly the values, without gaps.
+    pub bytes: &'a [u8],
+}
+
+/// An array in memory as a world, read as the file that `numpy.save` makes of it would be, without a copy of a volume's
+/// values. `path` is what errors call it.
+///
+/// # Errors
+/// [`Error::Format`] where shape, type or the number of bytes is none that can be read; and what the options do not fit.
+pub fn array<'a>(path: &Path, view: ArrayView<'a>, opts: &ReadOptions) -> Result<Box<dyn Pieces + 'a>> {
+    let fail = |what: String| Error::format(path, what);
+    let number = number(view.dtype).map_err(fail)?;
+    let (rank, dims) = axes(view.shape).map_err(fail)?;
+    byte_len(path, dims, number.dtype)?;
+    let expected = dims.iter().try_fold(number.size(), |n, &d| n.checked_mul(d));
+    if expected != Some(view.bytes.len() as u64) {
+        let (shape, n) = (view.shape, view.bytes.len());
+        return Err(fail(format!("{n} bytes of values do not fit the shape {shape:?} of {}", view.dtype)));
     }
-    let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = array.stored(path)?;
-    // Columns of an array that is stored by columns are gathered from all over it.
-    let data = if in_file && !z_fastest { data.in_file(path, bytes)? } else { data };
-    world_dims(path, [width, 1, height], "")?;
-    let mut out = Heights::new(width as u32, height as u32)?;
-    let n = width as usize;
-    with_sample!(dtype, big_endian, |read| {
-        let size = dtype.size() as usize;
-        let mut buffer = Vec::new();
-        // Some rows at a time, so that a large map is not in memory twice.
-        for z in (0..height as usize).step_by(64) {
-            let end = (z + 64).min(height as usize);
-            let from = if z_fastest { 0 } else { z };
-            let len = if z_fastest { data.len() as usize } else { (end - z) * n * size };
-            let bytes = data.read((from * n * size) as u64, len, &mut buffer)?;
-            let value = |x: usize, z: usize| {
-                let at = size * if z_fastest { x * height as usize + z } else { (z - from) * n + x };
-                read(bytes[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
-            };
-            let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
-            out.put(0, z as u32, width as u32, &rows)?;
+    let array = Array {
+        rank,
+        dims,
+        fortran: view.fortran,
+        number,
+        stride: number.size(),
+        offset: 0,
+        values: view.bytes,
+        left_out: Vec::new(),
+    };
+    if rank == 2 {
+        let mut map = heightmap::Map::of(array.heights(path, None)?);
+        map.about.format = "array".to_owned();
+        return Ok(Box::new(heightmap::rows(path, map, view.bytes.len() as u64, opts)?));
+    }
+    let mut stored = array.stored(path)?;
+    stored.about.format = "array".to_owned();
+    Ok(Box::new(Volume::new(path, stored, opts)?))
+}
+
+/// Number of axes, 2 or 3, and their lengths, last axis first; axes of one place are left out where there are more.
+fn axes(shape: &[u64]) -> Result<(usize, [u64; 3]), String> {
+    let mut axes = shape.to_vec();
+    while axes.len() > 3
+        && let Some(one) = axes.iter().position(|&n| n == 1)
+    {
+        axes.remove(one);
+    }
+    match *axes {
+        [y, x] => Ok((2, [x, y, 1])),
+        [z, y, x] => Ok((3, [x, y, z])),
+        _ => {
+            let what = format!("an array of shape {shape:?}; expected three axes (z, y, x), or two, a height map");
+            let hint = if axes.len() > 3 { "; save one channel or time: numpy.save(name, a[0])" } else { "" };
+            Err(what + hint)
         }
-    });
-    Ok(Some(out))
+    }
 }
 
 /// What a header says, and the values.
@@ -131,22 +173,8 @@ impl<'a> Array<'a> {
         })?;
         let mut left_out = Vec::new();
         let (number, stride, offset) = record(descr, &mut left_out).map_err(|what| fail(text_at, what))?;
-        let mut axes = shape.clone();
-        while axes.len() > 3
-            && let Some(one) = axes.iter().position(|&n| n == 1)
-        {
-            axes.remove(one);
-        }
-        let (rank, [z, y, x]) = match *axes {
-            [y, x] => (2, [1, y, x]),
-            [z, y, x] => (3, [z, y, x]),
-            _ => {
-                let what = format!("an array of shape {shape:?}; expected three axes (z, y, x), or two, a height map");
-                let hint = if axes.len() > 3 { "; save one channel or time: numpy.save(name, a[0])" } else { "" };
-                return Err(fail(text_at, what + hint));
-            }
-        };
-        let dims = [x, y, z];
+        let (rank, dims) = axes(&shape).map_err(|what| fail(text_at, what))?;
+        let [x, y, z] = dims;
         let of = [x, y, z].iter().try_fold(stride, |n, &d| n.checked_mul(d));
         byte_len(path, dims, number.dtype)?;
         let expected = of.ok_or_else(|| fail(text_at, format!("shape {shape:?} is beyond any memory")))?;
@@ -166,6 +194,37 @@ impl<'a> Array<'a> {
     /// Whether values are stored as a volume takes them.
     fn plain(&self) -> bool {
         self.stride == self.number.dtype.size() && !self.number.half
+    }
+
+    /// Of two axes, as heights. Values that lie in `file`, the file's bytes, are read from there.
+    fn heights(self, path: &Path, file: Option<&[u8]>) -> Result<Heights> {
+        let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = self.stored(path)?;
+        // Columns of an array that is stored by columns are gathered from all over it.
+        let data = match file.filter(|_| !z_fastest) {
+            Some(file) => data.in_file(path, file)?,
+            None => data,
+        };
+        world_dims(path, [width, 1, height], "")?;
+        let mut out = Heights::new(width as u32, height as u32)?;
+        let n = width as usize;
+        with_sample!(dtype, big_endian, |read| {
+            let size = dtype.size() as usize;
+            let mut buffer = Vec::new();
+            // Some rows at a time, so that a large map is not in memory twice.
+            for z in (0..height as usize).step_by(64) {
+                let end = (z + 64).min(height as usize);
+                let from = if z_fastest { 0 } else { z };
+                let len = if z_fastest { data.len() as usize } else { (end - z) * n * size };
+                let bytes = data.read((from * n * size) as u64, len, &mut buffer)?;
+                let value = |x: usize, z: usize| {
+                    let at = size * if z_fastest { x * height as usize + z } else { (z - from) * n + x };
+                    read(bytes[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
+                };
+                let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
+                out.put(0, z as u32, width as u32, &rows)?;
+            }
+        });
+        Ok(out)
     }
 
     fn stored(self, path: &Path) -> Result<Stored<'a>> {
