@@ -8,7 +8,7 @@
 //! | `place`, `measure`, `values` | nothing: spacing and axes, what is solid and its colours, values in other forms | |
 //! | `heightmap`, `geotiff`, `grids`, `dem` | PNG, JPEG, TIFF, GeoTIFF, ESRI ASCII grids, SRTM, RAW16, USGS DEM | image column is x, row is z |
 //! | `mosaic` | folders of tiles of a map | x is east, z is south |
-//! | `stack`, `tiff_pages` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
+//! | `stack` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
 //! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
@@ -91,7 +91,6 @@ mod text;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod tiff;
-mod tiff_pages;
 mod values;
 mod volume;
 mod vox;
