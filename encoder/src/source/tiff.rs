@@ -1000,7 +1000,11 @@ fn fax(image: &Image, packed: &[u8], need: u64, out: &mut Vec<u8>) -> Result<(),
         Compression::Group4 => fax::decoder::decode_g4(bits, width, u16::try_from(rows).ok(), &mut line),
         // The crate hands out a line at the mark that follows it, which the last of a strip need not have.
         Compression::Group3 => fax::decoder::decode_g3(bits.chain([0, 1]), &mut line),
-        _ => (0..rows).try_fold(fax::slice_reader(packed), |reader, _| huffman(reader, width, &mut line)).map(|_| ()),
+        // Codes are looked up by more bits than the last one may have.
+        _ => fax::ByteReader::new(bits.chain([0; 2]).map(Ok::<u8, std::convert::Infallible>))
+            .ok()
+            .and_then(|reader| (0..rows).try_fold(reader, |reader, _| huffman(reader, width, &mut line)))
+            .map(|_| ()),
     };
     done.ok_or_else(|| "the data are damaged".to_owned())
 }
