@@ -678,6 +678,32 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     if head.starts_with(b"# vtk DataFile") {
         return fail("this is a file of VTK's older text format, which is not read; save it as .vti");
     }
+    // Kinds that are known by how they begin, and not read.
+    const RASTER: &str = "convert it to GeoTIFF: gdal_translate IN out.tif";
+    const UNREAD: &[(&[u8], &str, &str)] = &[
+        (b"EHFA_HEADER_TAG", "an ERDAS Imagine raster", RASTER),
+        (b"\0\0\0\x0cjP  \r\n", "a picture in JPEG 2000", RASTER),
+        (b"DSAA", "a Surfer grid", RASTER),
+        (b"DSBB", "a Surfer grid", RASTER),
+        (b"DSRB", "a Surfer grid", RASTER),
+        (b"NITF", "a NITF raster", RASTER),
+        (b"<VRTDataset", "a list of rasters (VRT)", RASTER),
+        (b"SQLite format 3\0", "a database (GeoPackage, MBTiles)", RASTER),
+        (b"SIMPLE  =", "a FITS file", "write its array as NPY"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5, or netCDF-4", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+        (b"CDF\x01", "netCDF", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+        (b"CDF\x02", "netCDF", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+        (b"CDF\x05", "netCDF", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+    ];
+    if let Some((_, what, advice)) = UNREAD.iter().find(|(magic, _, _)| head.starts_with(magic)) {
+        return fail(&format!("this is {what}, which is not read; {advice}"));
+    }
+    if head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WEBP") {
+        return fail("this is a picture in WebP, which is not read; save it as PNG");
+    }
+    if head.starts_with(b"PK\x03\x04") && !name.ends_with(".npz") {
+        return fail("this is a zip archive; unpack it first");
+    }
     match name.strip_suffix(".gz").unwrap_or(&name).rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
         "dem" => Ok(Format::Dem),
@@ -699,6 +725,9 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
         "qbt" | "qbcl" | "qef" => fail("of Qubicle's formats .qb is read; export it as Qubicle Binary"),
         "e57" | "pts" | "ptx" => {
             fail("of clouds of points LAS, LAZ, PCD and PLY are read; convert it, with PDAL for one")
+        }
+        "bil" | "bip" | "bsq" | "flt" | "adf" | "sdat" | "gtx" => {
+            fail("a raster whose header is a file of its own, which is not read; convert it: gdal_translate IN out.tif")
         }
         "pcast" => fail("this is a scene already; encode takes what a scene is made from"),
         _ if head.is_empty() => fail("the file is empty"),
@@ -747,6 +776,9 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     } else {
         head
     };
+    if grids::is_asc(head) {
+        return Some(Format::Asc);
+    }
     if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
         return Some(Format::Ply);
     }

@@ -545,7 +545,13 @@ impl<'a> Tiff<'a> {
             return;
         }
         if turned {
-            bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse);
+            // What LERC has no value for is NaN before and after: libtiff loses values that are NaN with their bytes turned about.
+            let none = |v: &[u8]| match (image.compression, image.sample, size) {
+                (Compression::Lerc, Sample::Float, 4) => f32::from_ne_bytes([v[0], v[1], v[2], v[3]]).is_nan(),
+                (Compression::Lerc, Sample::Float, 8) => v.try_into().is_ok_and(|v| f64::from_ne_bytes(v).is_nan()),
+                _ => false,
+            };
+            bytes.chunks_exact_mut(size).filter(|v| !none(v)).for_each(<[u8]>::reverse);
         }
         if image.compression.predicts() && image.predictor == 2 {
             for row in bytes.chunks_mut(image.row_bytes()) {
@@ -995,13 +1001,13 @@ fn fax(image: &Image, packed: &[u8], need: u64, out: &mut Vec<u8>) -> Result<(),
             (from..to).for_each(|x| out[at + usize::from(x) / 8] |= 0x80 >> (x % 8));
         }
     };
-    let bits = packed.iter().copied();
+    // Codes are looked up by more bits than the last one may have; and a line of Group 3 is handed out at the mark that follows
+    // it, which the last of a strip need not have.
+    let bits = packed.iter().copied().chain([0, 0, 1]);
     let done = match image.compression {
         Compression::Group4 => fax::decoder::decode_g4(bits, width, u16::try_from(rows).ok(), &mut line),
-        // The crate hands out a line at the mark that follows it, which the last of a strip need not have.
-        Compression::Group3 => fax::decoder::decode_g3(bits.chain([0, 1]), &mut line),
-        // Codes are looked up by more bits than the last one may have.
-        _ => fax::ByteReader::new(bits.chain([0; 2]).map(Ok::<u8, std::convert::Infallible>))
+        Compression::Group3 => fax::decoder::decode_g3(bits, &mut line),
+        _ => fax::ByteReader::new(bits.map(Ok::<u8, std::convert::Infallible>))
             .ok()
             .and_then(|reader| (0..rows).try_fold(reader, |reader, _| huffman(reader, width, &mut line)))
             .map(|_| ()),

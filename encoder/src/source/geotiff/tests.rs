@@ -347,6 +347,23 @@ fn every_compression_and_predictor_gives_the_same_values() {
     let page_of = MadePage::new([6, 4], 16, 1, turned).with(tags::COMPRESSION, &[34_887]);
     let big = Form { big_endian: true, wide: false };
     assert_eq!(read_heights(&tiff(big, &[page_of]), "--height-scale 1"), expected);
+    // A float that is no number that way is lost: no height, rather than one of 0.
+    let heights = values.iter().map(|&v| f32::from_bits(f32::from(v).to_bits().swap_bytes()));
+    let mut mask = lerc::bitmask::BitMask::all_valid(24);
+    mask.set_invalid(5);
+    let turned = lerc::Image {
+        width: 6,
+        height: 4,
+        data_type: lerc::DataType::Float,
+        valid_masks: vec![mask],
+        data: lerc::SampleData::F32(heights.collect()),
+        ..lerc::Image::default()
+    };
+    let turned = lerc::encode(&turned, lerc::Precision::Lossless).unwrap();
+    let page_of = MadePage::new([6, 4], 32, 3, turned).with(tags::COMPRESSION, &[34_887]);
+    let found = read_heights(&tiff(big, &[page_of]), "--height-scale 1");
+    assert_eq!(found[..5], expected[..5]);
+    assert_eq!((found[5], &found[6..]), (None, &expected[6..]));
     let twice = |method: u16, strip: Vec<u8>| {
         let page = MadePage::new([6, 4], 32, 3, strip).with(tags::COMPRESSION, &[34_887]);
         read_heights(&little(&[page.with(tags::LERC_PARAMETERS, &[4, method])]), "--height-scale 1")
