@@ -283,7 +283,10 @@ pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions)
         eight_bit: image.bits <= 8 && bands.rgb.is_none() && meaning.scale == 1.0,
         nodata_known: nodata.is_some() || masked,
         rules,
-        about: About { left_out, ..About::new(crate::about::Kind::Terrain, if geo { "GeoTIFF" } else { "TIFF" }) },
+        about: About {
+            left_out,
+            ..About::new(crate::model::about::Kind::Terrain, if geo { "GeoTIFF" } else { "TIFF" })
+        },
         ..Map::of(heights)
     })
 }

@@ -15,8 +15,8 @@ use super::place::in_one_unit;
 use super::tiff::{Image, Page, Tiff, luma, tags};
 use super::volume::{Data, Stored, Volume};
 use super::{Dtype, ReadOptions, guarded, map, world_dims};
-use crate::about::Kind;
-use crate::scratch::{self as file, File};
+use crate::model::about::Kind;
+use crate::store::scratch::{self as file, File};
 use crate::{About, Error, Result};
 
 /// Where a slice is.
@@ -578,7 +578,7 @@ fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> R
         return Volume::new(path, stored, opts);
     }
     let mut out = Scratch::new(path, opts)?;
-    let mut other: Option<(String, crate::guard::Map)> = None;
+    let mut other: Option<(String, crate::store::guard::Map)> = None;
     for (n, slice) in slices.iter().enumerate() {
         let Some(name) = &slice.file else {
             if slice.plane > 0 {

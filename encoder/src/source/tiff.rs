@@ -14,7 +14,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::{Dtype, guarded};
-use crate::scratch::read_at;
+use crate::store::scratch::read_at;
 use crate::{Error, Result};
 
 /// Tags by number.
