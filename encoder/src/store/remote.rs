@@ -73,7 +73,7 @@ pub(crate) fn scene(url: &Path, _: fn(&Path, &[u8]) -> bool) -> Result<Option<cr
 /// A URL as it may be told: without its query, which may be secret.
 pub(crate) fn shown(url: &Path) -> PathBuf {
     #[cfg(feature = "object-store")]
-    return store::shown(url);
+    return object::shown(url);
     #[cfg(not(feature = "object-store"))]
     url.to_owned()
 }
