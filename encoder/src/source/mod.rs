@@ -404,6 +404,7 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     }
     let failed = |e| Error::io(path, "read", e);
     let (mut tiffs, mut grids, mut pictures, mut dicoms) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut n_packed = 0;
     for entry in fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
         let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
@@ -414,6 +415,7 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         match kind.as_str() {
             "tif" | "tiff" => tiffs.push(file),
             "asc" | "hgt" => grids.push(file),
+            "gz" => n_packed += usize::from(is_packed_tile(&file)),
             "png" | "jpg" | "jpeg" => pictures.push(file),
             _ if is_dicom(&file) => dicoms.push(file),
             _ => {}
@@ -429,10 +431,16 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         && opts.format != Some(Format::Stack)
         && mosaic::is_tile(first)?
     {
-        return Ok(Box::new(mosaic::mosaic(path, tiles, opts)?));
+        let mut rows = mosaic::mosaic(path, tiles, opts)?;
+        let n_grids = if tiffs.is_empty() { 0 } else { grids.len() };
+        rows.about.left_out.extend(unread(&[("packed (.gz)", n_packed), ("grid (.asc, .hgt)", n_grids)]));
+        rows.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures), ("DICOM", n_dicoms)]));
+        return Ok(Box::new(rows));
     }
     let mut volume = if !tiffs.is_empty() {
         let mut volume = stack::folder(path, &tiffs, opts)?;
+        let n_grids = grids.len();
+        volume.about.left_out.extend(unread(&[("packed (.gz)", n_packed), ("grid (.asc, .hgt)", n_grids)]));
         volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures), ("DICOM", n_dicoms)]));
         volume
     } else if !dicoms.is_empty() && opts.format != Some(Format::Stack) {
@@ -440,6 +448,12 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     } else if !pictures.is_empty() {
         stack::pictures(path, &pictures, opts)?
     } else {
+        if n_packed > 0 {
+            return Err(Error::format(
+                path,
+                format!("a folder of {n_packed} tiles packed by gzip; unpack them first (gunzip)"),
+            ));
+        }
         let what = "a folder without .tif, .asc, .hgt, .png, .jpg or DICOM files and no Zarr; expected the slices of a volume or \
             tiles of a map";
         return Err(Error::format(path, what));
@@ -448,6 +462,12 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures)]));
     }
     Ok(Box::new(volume))
+}
+
+/// Whether a file's name is that of a tile which gzip packed.
+fn is_packed_tile(file: &Path) -> bool {
+    let inner = file.file_stem().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
+    [".hgt", ".asc", ".tif"].iter().any(|ending| inner.ends_with(ending))
 }
 
 /// Sorts by name, numbers in names by their value: slice2 before slice10.

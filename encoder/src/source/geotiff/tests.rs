@@ -532,6 +532,11 @@ fn srtm_and_esri_tiles_make_a_map_too() {
     };
     let (found, about) = folder(&[("a.asc", text(500_000, 30)), ("b.asc", text(500_020, 50))], "").unwrap();
     assert_eq!((found, about.format.as_str()), (vec![Some(3), None, Some(5), None], "2 tiles, ESRI ASCII grid"));
+    // What lies beside and is not read is said.
+    let (_, about) = folder(&[("a.asc", text(500_000, 30)), ("b.asc.gz", vec![0]), ("c.png", vec![0])], "").unwrap();
+    assert_eq!(about.left_out, ["1 packed (.gz) files in the folder", "1 PNG or JPEG files in the folder"]);
+    let e = folder(&[("a.hgt.gz", vec![0]), ("b.hgt.gz", vec![0])], "").err().unwrap().to_string();
+    assert!(e.contains("2 tiles packed by gzip; unpack them first"), "{e}");
     // Both sides of the 180th meridian.
     let samples = |v: i16| bytes_of(vec![v.to_be_bytes(); 9]);
     let (found, about) =
