@@ -425,7 +425,7 @@ impl MergeArgs {
 /// Check every byte of a scene, and name all tiles that are broken
 #[derive(Clone, Debug, clap::Args)]
 pub struct VerifyArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or the URL of one
     pub scene: PathBuf,
     /// Checksums alone: finds damage, not what a faulty program wrote
     #[arg(long)]
@@ -438,7 +438,7 @@ pub struct VerifyArgs {
 impl VerifyArgs {
     pub fn run(&self) -> Result<()> {
         let begun = Instant::now();
-        let file = PcastFile::open(&self.scene)?;
+        let file = open::scene(&self.scene)?;
         let depth = match (self.quick, self.deep) {
             (true, _) => Depth::Checksums,
             (_, true) => Depth::Exposure,
@@ -451,7 +451,7 @@ impl VerifyArgs {
         match found.faults.len() {
             0 => print(&format!("{} tiles are right, {seconds:.2} s, {rate:.2} GB/s\n", found.tiles)),
             n => Err(Error::format(
-                &self.scene,
+                file.path(),
                 format!("{n} of {} tiles are broken, the others can be read (--skip-broken)", found.tiles),
             )),
         }
@@ -461,9 +461,9 @@ impl VerifyArgs {
 /// Write a scene's occupancy as a raw volume: bytes 0 and 1, x fastest, then y, then z
 #[derive(Clone, Debug, clap::Args)]
 pub struct DecodeArgs {
-    /// Scene file (.pcast)
+    /// Scene file (.pcast), or the URL of one
     pub scene: PathBuf,
-    /// Raw volume to write
+    /// Raw volume to write, a file or the URL of an object
     #[arg(short, long, value_name = "VOLUME.raw")]
     pub output: PathBuf,
     /// Take broken tiles as empty, and name them
@@ -475,8 +475,11 @@ impl DecodeArgs {
     pub fn run(&self) -> Result<()> {
         keep_input(&self.scene, "--output", &self.output)?;
         let begun = Instant::now();
-        decode_to_raw(&read_scene(&PcastFile::open(&self.scene)?, self.skip_broken)?, &self.output)?;
-        Made::new(None, &self.output).tell(begun, "");
+        let output = Output::new(&self.output)?;
+        decode_to_raw(&read_scene(&open::scene(&self.scene)?, self.skip_broken)?, output.file())?;
+        let made = Made::new(Some(&self.output), output.file());
+        output.finish()?;
+        made.tell(begun, "");
         Ok(())
     }
 }

@@ -226,6 +226,11 @@ fn object_store_takes_large_files_in_pieces_and_shows_none_that_is_not_whole() {
     assert!(held.objects["scene.pcast"] == expected && held.uploads.is_empty());
     assert!(held.log.iter().any(|line| line.contains("partNumber")), "{:?}", held.log);
     drop(held);
+    ok(dir, port, &["verify", "s3://b/scene.pcast", "--quick"]);
+    ok(dir, port, &["encode", "procedural:rocks?size=64", "-o", "small.pcast"]);
+    ok(dir, port, &["decode", "small.pcast", "-o", "small.raw"]);
+    ok(dir, port, &["decode", "small.pcast", "-o", "s3://b/small.raw"]);
+    assert!(bucket.lock().unwrap().objects["small.raw"] == std::fs::read(dir.join("small.raw")).unwrap());
 
     bucket.lock().unwrap().read_only = true;
     let (status, text) = run(dir, port, &["encode", "procedural:rocks?size=64", "-o", "s3://b/other.pcast"]);
@@ -373,7 +378,18 @@ fn plain_servers_are_read_by_get_alone_with_the_query_of_the_address() {
             let url = format!("http://127.0.0.1:{port}/a/s.pcast?sig=1%2F2");
             ok(dir.path(), 9, &["info", &url]);
             ok(dir.path(), 9, &["query", &url, "1", "2", "3"]);
+            ok(dir.path(), 9, &["verify", &url]);
+            ok(dir.path(), 9, &["decode", &url, "-o", "there.raw"]);
+            ok(dir.path(), 9, &["decode", "local.pcast", "-o", "here.raw"]);
+            let raw = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
+            assert!(raw("there.raw") == raw("here.raw"), "{server:?} {name}");
         }
+    }
+    let (port, _) = serve_file(Server::Ranges, raw.clone());
+    for command in [&["verify"][..], &["decode", "-o", "none.raw"]] {
+        let url = format!("http://127.0.0.1:{port}/a/a.raw?sig=1%2F2");
+        let (status, said) = run(dir.path(), 9, &[&[command[0], &url], &command[1..]].concat());
+        assert!(status == Some(1) && said.contains("this is no scene") && !said.contains("sig="), "{said}");
     }
     let (port, _) = serve_file(Server::Ranges, raw);
     let (status, said) = run(dir.path(), 9, &["info", &format!("http://127.0.0.1:{port}/a/a.raw?sig=other")]);

@@ -30,7 +30,7 @@ const EXAMPLES: &[(&str, &str)] = &[
   planecast encode https://example.org/bunny.ply --size 1024 -o bunny.pcast",
     ),
     ("merge", "  planecast merge part0 part1 part2 -o whole.pcast"),
-    ("verify", "  planecast verify dem.pcast\n  planecast verify dem.pcast --deep"),
+    ("verify", "  planecast verify dem.pcast\n  planecast verify https://example.org/dem.pcast --deep"),
     ("decode", "  planecast decode scan.pcast -o scan.raw"),
     ("info", "  planecast info dem.pcast\n  planecast info scan.nii.gz --json"),
     ("query", "  planecast query dem.pcast 10 25 300"),

@@ -7,6 +7,7 @@ import struct
 from importlib.metadata import version as version_of
 
 import laspy
+import lazrs
 import numpy as np
 import trimesh
 from PIL import Image
@@ -146,6 +147,54 @@ def las_rows(planecast):
             kept = ~withheld & np.isin(classes, wanted)
             got = read(planecast, path, "--voxel", VOXEL, "--las-classes", flag)[1]
             yield kind, f"--las-classes {flag}", name, cloud(xyz(points, kept)), got
+
+
+def copc(path, n=600):
+    """LAZ whose chunks are the nodes of an octree, by the text of COPC 1.0: a root and its children."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [0.01] * 3
+    out = laspy.LasData(header)
+    out.x, out.y, out.z = (RNG(6).random((n, 3)) * [40, 30, 12]).round(2).T
+    out.classification = np.full(n, 2, "u1")
+    places = np.stack([out.x, out.y, out.z], 1)
+    node = np.where(np.arange(n) % 4 == 0, -1, (places >= 20).astype(int) @ [1, 2, 4])
+    packing = lazrs.LazVlr.new_for_compression(6, 0, True)
+    packed = bytes(packing.record_data())
+    start = 375 + 54 + 160 + 54 + len(packed)
+    file = io.BytesIO(bytes(start))
+    file.seek(start)
+    writer = lazrs.LasZipCompressor(file, packing)
+    writer.reserve_offset_to_chunk_table()
+    entries = []
+    for k in np.unique(node).tolist():
+        at, points = file.tell(), out.points.array[node == k]
+        writer.compress_many(np.frombuffer(points.tobytes(), "u1"))
+        writer.finish_current_chunk()
+        key = (0, 0, 0, 0) if k < 0 else (1, k & 1, k >> 1 & 1, k >> 2)
+        entries.append(struct.pack("<4iQii", *key, at, file.tell() - at, len(points)))
+    writer.done()
+    tree, end = b"".join(entries), len(file.getvalue())
+
+    def record(user, number, data):
+        return struct.pack("<H16sHH32s", 0, user, number, len(data), b"") + data
+
+    ends = np.stack([places.max(0), places.min(0)], 1).ravel()
+    head = struct.pack("<4sHH16sBB32s32sHHHIIBHI5I", b"LASF", 0, 16, b"", 1, 4, b"", b"", 1, 2026, 375, start, 2, 0x86, 30, *[0] * 6)
+    head += struct.pack("<12d", *[0.01] * 3, *[0.0] * 3, *ends) + struct.pack("<QQIQ15Q", 0, end, 1, n, n, *[0] * 14)
+    info = struct.pack("<5dQQ2d", *[20.0] * 4, 1.0, end + 60, len(tree), 0, 0) + bytes(88)
+    head += record(b"copc", 1, info) + record(b"laszip encoded", 22204, packed)
+    path.write_bytes(head + file.getvalue()[start:] + struct.pack("<H16sHQ32s", 0, b"copc", 1000, len(tree), b"") + tree)
+
+
+def copc_rows(planecast):
+    path = planecast.path("a.copc.laz")
+    copc(path)
+    with laspy.CopcReader.open(path) as opened:
+        points = opened.query()
+    scene, got, said = read(planecast, path, "--voxel", VOXEL)
+    name = f"{library('laspy')} with {library('lazrs')}"
+    yield "COPC 1.0", "points of all nodes", f"{name}, CopcReader", cloud(xyz(points)), got
+    yield "COPC 1.0", "its name", name, "COPC 1.4", "COPC 1.4" if "read as COPC 1.4" in said else said
 
 
 # PCD and PLY.
@@ -352,5 +401,5 @@ def editor_rows(planecast):
 
 
 def rows(planecast):
-    for of in (las_rows, pcd_rows, ply_rows, binvox_rows, vox_rows, editor_rows):
+    for of in (las_rows, copc_rows, pcd_rows, ply_rows, binvox_rows, vox_rows, editor_rows):
         yield from of(planecast)

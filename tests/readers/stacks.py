@@ -108,6 +108,11 @@ def tiff_rows(planecast):
             read=lambda a: a >= 20,
             flags=("--format", "stack", "--iso", "20"),
         )
+    path = planecast.path("a.tif")
+    values = volume(24, "u4", 2**24 - 1)
+    write_packed(path, values, 24)
+    expected = digest(tifffile.imread(path) >= 2**23)
+    yield "TIFF stack", "24-bit samples", library, expected, found(planecast, path, "--format", "stack", "--iso", str(2**23))
     yield case("JPEG, quality 100", write(v, compression="jpeg", compressionargs={"level": 100}),
                read=lambda a: a >= 60, flags=("--format", "stack", "--iso", "60"))
     yield case("ImageJ", write(v, imagej=True, metadata={"axes": "ZYX"}))
@@ -162,6 +167,22 @@ def tiff_rows(planecast):
     for z in range(D):
         tifffile.imwrite(folder / f"s{z + 8}.tif", v[z])
     yield "TIFF folder", "slices by number", library, digest(v > 0), found(planecast, folder)
+
+
+def pillow_rows(planecast):
+    import PIL
+    from PIL import Image
+
+    library = f"Pillow {PIL.__version__}"
+    slices = [Image.fromarray(s) for s in volume() > 0]
+    for compression in ("group4", "group3", "tiff_ccitt", "packbits", "tiff_lzw"):
+        path = planecast.path("a.tif")
+        slices[0].save(path, save_all=True, append_images=slices[1:], compression=compression)
+        picture, frames = Image.open(path), []
+        for i in range(picture.n_frames):
+            picture.seek(i)
+            frames.append(np.asarray(picture))
+        yield "TIFF stack", f"bilevel, {compression}", library, digest(np.stack(frames)), found(planecast, path)
 
 
 def write_packed(path, values, bits):
@@ -270,6 +291,13 @@ def zarr_rows(planecast):
     z = zarr.create_array(path, shape=(W, H, D), dtype="u1", chunks=(W, H, D), dimension_names=["x", "y", "z"])
     z[...] = v.transpose(2, 1, 0)
     yield "Zarr", "dimension_names x, y, z", library, digest(z[...].transpose(2, 1, 0) > 0), found(planecast, path)
+    import numcodecs
+
+    path = planecast.path("bits.zarr")
+    bits = zarr.create_array(path, shape=v.shape, dtype="?", zarr_format=2, chunks=(3, 8, 10), filters=[numcodecs.PackBits()])
+    bits[...] = v > 0
+    refusal = "codec packbits is not supported; write it without this codec or filter"
+    yield "Zarr", "version 2, filter packbits: refused by name", library, refusal, line(said(planecast, path), refusal)
     path = planecast.path("shards.zarr")
     z = zarr.create_array(path, shape=v.shape, dtype="u1", chunks=(2, 4, 5), shards=(6, 8, 10))
     z[...] = v
@@ -396,5 +424,5 @@ def image_rows(planecast):
 
 
 def rows(planecast):
-    for some in (tiff_rows, npy_rows, zarr_rows, dicom_rows, image_rows):
+    for some in (tiff_rows, pillow_rows, npy_rows, zarr_rows, dicom_rows, image_rows):
         yield from some(planecast)

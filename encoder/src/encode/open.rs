@@ -35,6 +35,17 @@ fn is_scene(name: &Path, head: &[u8]) -> bool {
     head.starts_with(&format::MAGIC) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast"))
 }
 
+/// Opens a scene, here or at a URL; other inputs are refused.
+pub fn scene(name: &Path) -> Result<PcastFile> {
+    if !remote::is_url(name) {
+        return PcastFile::open(name);
+    }
+    remote::scene(name, is_scene)?.ok_or_else(|| {
+        let what = "this is no scene, which is what this command takes; make one with encode";
+        Error::format(remote::shown(name), what)
+    })
+}
+
 /// Opens a scene, or encodes an input as `encode` would. `watch` tells how far that is, and stops it.
 ///
 /// Errors are those of [`PcastFile::open`], of the reader, and of the network.

@@ -4,7 +4,7 @@
 //! (times, echoes, segments) the first frame; both are said, as are gaps and unequal distances. Values mean stored · slope
 //! + intercept (HU, dose). Source: DICOM PS3.3 C.7.6.2 and C.7.6.3, C.7.6.16 for multi-frame files, C.8.8.3 for dose.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -120,7 +120,7 @@ struct Frame {
 
 /// These files, or the one; `path` is what is said to be read.
 pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result<Volume<'static>> {
-    let mut left_out = Vec::new();
+    let (mut left_out, mut looks) = (Vec::<String>::new(), BTreeSet::new());
     let mut series: BTreeMap<String, Vec<Frame>> = BTreeMap::new();
     let (mut modality, mut rule, mut without) = (String::new(), String::new(), 0);
     for (i, file) in files.iter().enumerate() {
@@ -132,8 +132,17 @@ pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result
                     modality = format!(" ({kind})");
                     rule = text(&object, tags::RESCALE_TYPE).map(|unit| format!(" {unit}")).unwrap_or_default();
                 }
-                if object.get(tags::MODALITY_LUT).is_some() && left_out.is_empty() {
-                    left_out.push("the modality's look-up table: values are as stored".to_owned());
+                let table = "the modality's look-up table: values are as stored";
+                if object.get(tags::MODALITY_LUT).is_some() && !left_out.iter().any(|phrase| phrase == table) {
+                    left_out.push(table.to_owned());
+                }
+                let shown = match text(&object, tags::PHOTOMETRIC).as_deref().map(str::trim) {
+                    Some("MONOCHROME1") => "that low values are shown bright (MONOCHROME1): values are as stored",
+                    Some(kind) if kind.starts_with("PALETTE") => "the colour table: values are its places",
+                    _ => "",
+                };
+                if !shown.is_empty() {
+                    looks.insert(shown);
                 }
                 series.entry(text(&object, tags::SERIES).unwrap_or_default()).or_default().extend(found);
             }
@@ -157,6 +166,7 @@ pub(super) fn read(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Result
     }
     let frames = alike(frames, &mut left_out);
     let (frames, step) = in_place(frames, &mut left_out);
+    left_out.extend(looks.into_iter().map(str::to_owned));
     let mut about = About::new(Kind::Volume, format!("DICOM{modality}"));
     about.axes = "columns are x, rows y, slices z by position".to_owned();
     if let (Some([x, y]), Some(z)) = (frames[0].pixel, step) {
@@ -466,7 +476,7 @@ fn alike(frames: Vec<Frame>, left_out: &mut Vec<String>) -> Vec<Frame> {
 
 /// Frames in order of their places, one at each, and the distance of neighbours.
 fn in_place(mut frames: Vec<Frame>, left_out: &mut Vec<String>) -> (Vec<Frame>, Option<f64>) {
-    let segments = frames.iter().map(|f| f.order[0]).collect::<std::collections::BTreeSet<_>>();
+    let segments = frames.iter().map(|f| f.order[0]).collect::<BTreeSet<_>>();
     if segments.len() > 1 {
         let first = segments.first().copied();
         left_out.push(format!("{} of {} segments: the first is read", segments.len() - 1, segments.len()));

@@ -9,7 +9,6 @@ use rayon::prelude::*;
 use super::geo::{Crs, Length, Place};
 use super::heightmap::{Map, Up};
 use super::heights::Heights;
-use super::pixels::{Stream, stream};
 use super::tiff::{Image, Page, Sample, Tiff, tags};
 use super::{HeightCode, ReadOptions, map};
 use crate::{About, Error, Result};
@@ -19,26 +18,23 @@ const REDUCED: u64 = 1;
 const MASK: u64 = 4;
 
 /// The page that is the picture, all pages, and what kind each is.
-fn pages(tiff: &mut Tiff) -> Result<(Page, Vec<(Page, u64)>)> {
-    let mut kinds = Vec::new();
-    for page in tiff.pages()? {
-        let kind = tiff.integer(&page, tags::NEW_SUBFILE_TYPE)?.unwrap_or(0);
-        kinds.push((page, kind));
-    }
-    let main = kinds.iter().find(|(_, kind)| kind & (REDUCED | MASK) == 0).unwrap_or(&kinds[0]).0.clone();
+fn pages<'t>(tiff: &'t Tiff) -> Result<(&'t Page, Vec<(&'t Page, u64)>)> {
+    let kind = |page: &'t Page| Ok((page, tiff.integer(page, tags::NEW_SUBFILE_TYPE)?.unwrap_or(0)));
+    let kinds = tiff.pages.iter().map(kind).collect::<Result<Vec<_>>>()?;
+    let main = kinds.iter().find(|(_, kind)| kind & (REDUCED | MASK) == 0).unwrap_or(&kinds[0]).0;
     Ok((main, kinds))
 }
 
 /// Where the picture lies; a world file beside it (`.tfw`) counts where the TIFF says nothing.
-fn place(tiff: &mut Tiff, page: &Page, path: &Path) -> Result<Option<Place>> {
-    let mut doubles = |tag| Ok::<_, Error>(tiff.numbers(page, tag)?.unwrap_or_default());
+fn place(tiff: &Tiff, page: &Page, path: &Path) -> Result<Option<Place>> {
+    let doubles = |tag| Ok::<_, Error>(tiff.numbers(page, tag)?.unwrap_or_default());
     let (scale, ties, matrix) =
         (doubles(tags::PIXEL_SCALE)?, doubles(tags::TIE_POINTS)?, doubles(tags::TRANSFORMATION)?);
     let parameters = doubles(tags::GEO_DOUBLES)?;
     let keys = tiff.integers(page, tags::GEO_KEYS)?.unwrap_or_default();
     let keys: Vec<u16> = keys.into_iter().map(|k| u16::try_from(k).unwrap_or(u16::MAX)).collect();
     let text = tiff.bytes_of(page, tags::GEO_TEXT)?.unwrap_or_default();
-    let crs = Crs::of_keys(&keys, &parameters, &text);
+    let crs = Crs::of_keys(&keys, &parameters, text);
     // GTRasterTypeGeoKey: 2 is "pixel is point".
     let point = keys.as_chunks::<4>().0.iter().skip(1).any(|k| k[0] == 1025 && k[3] == 2);
     let affine = Place::of_tags(&scale, &ties, &matrix, point).or_else(|| world_file(path, &["tfw", "tifw", "wld"]));
@@ -66,18 +62,18 @@ pub(super) fn beside(path: &Path, name: &Path) -> Option<String> {
 
 /// The size of a TIFF and where it lies, its flips undone.
 pub(super) fn survey(path: &Path, bytes: &[u8], in_file: bool) -> Result<(Option<Place>, [u32; 2])> {
-    let mut tiff = Tiff::open(path, stream(path, bytes, in_file)?, bytes.len())?;
-    let (page, _) = pages(&mut tiff)?;
-    let image = tiff.image(&page)?;
-    Ok((place(&mut tiff, &page, path)?, [image.width, image.height]))
+    let tiff = Tiff::open(path, bytes, in_file)?;
+    let (page, _) = pages(&tiff)?;
+    let image = tiff.image(page)?;
+    Ok((place(&tiff, page, path)?, [image.width, image.height]))
 }
 
 /// Whether a TIFF says where on Earth it lies.
 pub(super) fn is_geographic(path: &Path, bytes: &[u8]) -> bool {
     let place = || {
-        let mut tiff = Tiff::open(path, stream(path, bytes, false)?, bytes.len())?;
-        let (page, _) = pages(&mut tiff)?;
-        place(&mut tiff, &page, path)
+        let tiff = Tiff::open(path, bytes, false)?;
+        let (page, _) = pages(&tiff)?;
+        place(&tiff, page, path)
     };
     place().is_ok_and(|place| place.is_some())
 }
@@ -175,23 +171,22 @@ fn bands(tiff: &Tiff, image: &Image, opts: &ReadOptions) -> Result<Bands> {
     Ok(Bands { rgb: None, alpha, left_out })
 }
 
-/// Reads the picture of a TIFF as heights.
-pub(super) fn read(path: &Path, input: Box<dyn Stream + '_>, len: usize, opts: &ReadOptions) -> Result<Map> {
-    let mut tiff = Tiff::open(path, input, len)?;
-    let (page, pages) = pages(&mut tiff)?;
-    let image = tiff.image(&page)?;
+/// Reads the picture of a TIFF as heights; `in_file` says that the file at `path` holds these bytes.
+pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> Result<Map> {
+    let tiff = Tiff::open(path, bytes, in_file)?;
+    let (page, pages) = pages(&tiff)?;
+    let image = tiff.image(page)?;
     let bands = bands(&tiff, &image, opts)?;
-    let place = place(&mut tiff, &page, path)?;
+    let place = place(&tiff, page, path)?;
     let mut left_out: Vec<String> = bands.left_out.iter().cloned().collect();
     let mut rules = Vec::new();
-    let gdal = gdal(&tiff.text(&page, tags::GDAL_METADATA)?.unwrap_or_default());
-    let text = tiff.text(&page, tags::GDAL_NODATA)?.map(|t| t.trim().to_owned()).filter(|t| !t.is_empty());
+    let gdal = gdal(&tiff.text(page, tags::GDAL_METADATA)?.unwrap_or_default());
+    let text = tiff.text(page, tags::GDAL_NODATA)?.map(|t| t.trim().to_owned()).filter(|t| !t.is_empty());
     let stated = text.as_ref().and_then(|t| t.parse::<f64>().ok());
     if let (Some(text), None) = (&text, stated) {
         left_out.push(format!("the no-data value {text:?}, which is no number"));
     }
-    let masks: Vec<Page> =
-        pages.iter().filter(|(_, kind)| kind & (MASK | REDUCED) == MASK).map(|p| p.0.clone()).collect();
+    let masks: Vec<&Page> = pages.iter().filter(|(_, kind)| kind & (MASK | REDUCED) == MASK).map(|p| p.0).collect();
     let sidecar = mask_beside(path);
     let masked = !masks.is_empty() || sidecar.is_some();
     let mut nodata = opts.nodata.or(stated);
@@ -246,13 +241,12 @@ pub(super) fn read(path: &Path, input: Box<dyn Stream + '_>, len: usize, opts: &
         }
     }
     if let Some(mask) = masks.first() {
-        apply(&mut tiff, mask, &image, &mut heights)?;
+        apply(&tiff, mask, &image, &mut heights)?;
         heights.recount()?;
     } else if let Some(name) = &sidecar {
         let bytes = map(name)?;
-        let mut tiff = Tiff::open(name, stream(name, &bytes, true)?, bytes.len())?;
-        let page = tiff.pages()?.swap_remove(0);
-        apply(&mut tiff, &page, &image, &mut heights)?;
+        let tiff = Tiff::open(name, &bytes, true)?;
+        apply(&tiff, &tiff.pages[0], &image, &mut heights)?;
         heights.recount()?;
     }
 
@@ -263,12 +257,12 @@ pub(super) fn read(path: &Path, input: Box<dyn Stream + '_>, len: usize, opts: &
     left_out.extend((overviews > 0).then(|| many(overviews, "overview")));
     left_out.extend((others > 0).then(|| many(others, "further page")));
     left_out.extend((masks.len() > 1).then(|| many(masks.len() - 1, "further mask")));
-    let ties = tiff.numbers(&page, tags::TIE_POINTS)?.unwrap_or_default().len() / 6;
+    let ties = tiff.numbers(page, tags::TIE_POINTS)?.unwrap_or_default().len() / 6;
     if place.is_none() && ties > 0 {
         left_out.push(format!("a place given by {}, which is no grid", many(ties, "control point")));
     }
     // As GDAL has it: rows and columns are what is placed, whichever way a viewer would turn the picture.
-    if let Some(orientation) = tiff.integer(&page, tags::ORIENTATION)?.filter(|&o| o > 1) {
+    if let Some(orientation) = tiff.integer(page, tags::ORIENTATION)?.filter(|&o| o > 1) {
         left_out.push(format!("the turn that a viewer would give the picture (orientation {orientation})"));
     }
     if page.has(50_844) {
@@ -298,7 +292,7 @@ pub(super) fn read(path: &Path, input: Box<dyn Stream + '_>, len: usize, opts: &
 }
 
 /// Empties the pixels that a mask says have no data: those whose bit is 0.
-fn apply(tiff: &mut Tiff, page: &Page, of: &Image, heights: &mut Heights) -> Result<()> {
+fn apply(tiff: &Tiff, page: &Page, of: &Image, heights: &mut Heights) -> Result<()> {
     let image = tiff.image(page)?;
     if (image.width, image.height) != (of.width, of.height) {
         let sizes = format!("{} × {}, its picture {} × {}", image.width, image.height, of.width, of.height);

@@ -104,6 +104,8 @@ impl Place {
 pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     super::guarded(path, "glTF", || {
         let fail = |e: ::gltf::Error| wrong(path, e);
+        // Not allowed, but readers may leave it away.
+        let bytes = super::text::without_bom(path, bytes)?;
         let Gltf { document, blob } = Gltf::from_slice_without_validation(bytes).map_err(fail)?;
         let mut root = document.into_json();
         check_required(path, &mut root)?;

@@ -1,5 +1,6 @@
 //! Grids of heights that are no images: ESRI ASCII grids, SRTM tiles, square files of 16-bit heights.
 
+use std::borrow::Cow;
 use std::io::Read;
 use std::path::Path;
 
@@ -125,8 +126,24 @@ pub(super) fn asc_place(path: &Path, head: &AscHead) -> Place {
     Place::north_up(crs, [head.corner[0], north], head.cell)
 }
 
-/// An ESRI ASCII grid: rows from north to south.
+/// What gzip packed, of at most so many bytes; other bytes as they are.
+fn unzipped<'a>(path: &Path, bytes: &'a [u8], limit: u64) -> Result<Cow<'a, [u8]>> {
+    if !bytes.starts_with(b"\x1f\x8b") {
+        return Ok(Cow::Borrowed(bytes));
+    }
+    let mut out = Vec::new();
+    let done = flate2::read::MultiGzDecoder::new(bytes).take(limit + 1).read_to_end(&mut out);
+    done.map_err(|e| Error::format(path, format!("gzip: {e}")))?;
+    if out.len() as u64 > limit {
+        return Err(Error::Limit(format!("{}: gzip of more than {limit} bytes; unpack it first", path.display())));
+    }
+    Ok(Cow::Owned(out))
+}
+
+/// An ESRI ASCII grid: rows from north to south; also packed by gzip.
 pub(super) fn asc(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Map> {
+    const LIMIT: u64 = 1 << 30;
+    let bytes = &*unzipped(path, bytes, LIMIT)?;
     let head = asc_head(path, bytes)?;
     let fault = |at: usize, what: String| Error::format(path, format!("byte {at}: ESRI ASCII grid: {what}"));
     let [width, height] = head.size;
@@ -199,15 +216,7 @@ pub(super) fn hgt_place(path: &Path, bytes: u64) -> Result<([u32; 2], Option<Pla
 /// An SRTM tile: 16-bit heights in metres, most significant byte first, rows from north to south; also packed by gzip.
 pub(super) fn hgt(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Map> {
     const LIMIT: u64 = 2 * 21_601 * 21_601 + 2;
-    let mut unpacked = Vec::new();
-    let bytes = match bytes.starts_with(b"\x1f\x8b") {
-        true => {
-            let unpack = flate2::read::MultiGzDecoder::new(bytes).take(LIMIT).read_to_end(&mut unpacked);
-            unpack.map_err(|e| Error::format(path, format!("gzip: {e}")))?;
-            &unpacked[..]
-        }
-        false => bytes,
-    };
+    let bytes = &*unzipped(path, bytes, LIMIT)?;
     let ([width, height], place) = hgt_place(path, bytes.len() as u64)?;
     let mut heights = Heights::new(width, height)?;
     for (z, row) in bytes.chunks_exact(2 * width as usize).enumerate() {

@@ -80,7 +80,7 @@ impl Map {
 pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions) -> Result<Rows> {
     let tiff = bytes.starts_with(b"II") || bytes.starts_with(b"MM");
     let map = match tiff {
-        true => guarded(path, "TIFF", || geotiff::read(path, stream(path, bytes, in_file)?, bytes.len(), opts)),
+        true => guarded(path, "TIFF", || geotiff::read(path, bytes, in_file, opts)),
         false => read_image(path, bytes, in_file, opts),
     }?;
     rows(path, map, bytes.len() as u64, opts)

@@ -40,6 +40,7 @@ pub(super) fn read(path: &Path, opts: &ReadOptions) -> Result<Points> {
     guarded(path, "LAS", || {
         let fail = |e: las::Error| Error::format(path, format!("LAS: {e}"));
         check_extended(path)?;
+        check_chunks(path)?;
         let open = || las::Reader::from_path(path).map_err(fail);
         let reader = open()?;
         let header = reader.header().clone();
@@ -235,6 +236,38 @@ fn check_extended(path: &Path) -> Result<()> {
         let end = content.checked_add(len).filter(|&end| end <= file_len);
         let left = file_len - content;
         at = end.ok_or_else(|| wrong(format!("claims {len} bytes of the {left} that are left; it is damaged")))?;
+    }
+    Ok(())
+}
+
+/// Checks how many chunks a LAZ file claims: the reader takes memory for all of them. What else may be wrong, it says itself.
+fn check_chunks(path: &Path) -> Result<()> {
+    let failed = |e| Error::io(path, "read", e);
+    let mut file = OpenOptions::new().read(true).open(path).map_err(|e| Error::io(path, "open", e))?;
+    let file_len = file.metadata().map_err(failed)?.len();
+    let mut word = |at: u64| -> Result<Option<[u8; 8]>> {
+        let mut word = [0; 8];
+        if at.checked_add(8).is_none_or(|end| end > file_len) {
+            return Ok(None);
+        }
+        file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut word)).map_err(failed)?;
+        Ok(Some(word))
+    };
+    let Some(head) = word(96)? else { return Ok(()) };
+    let start = u32::from_le_bytes([head[0], head[1], head[2], head[3]]);
+    // The highest bit of a point's format says that it is packed.
+    let packed = word(104)?.is_some_and(|head| head[0] >> 7 == 1);
+    let Some(mut at) = word(start.into())?.filter(|_| packed).map(u64::from_le_bytes) else { return Ok(()) };
+    if at == u64::MAX {
+        // A writer that could not go back says it at the end.
+        at = word(file_len - 8)?.map_or(at, u64::from_le_bytes);
+    }
+    let Some(table) = word(at)? else { return Ok(()) };
+    let n = u32::from_le_bytes([table[4], table[5], table[6], table[7]]);
+    // The first point of each is stored as it is, in 20 bytes at least; some may be empty.
+    if u64::from(n) > 64 + file_len / 16 {
+        let what = format!("{n} chunks of points in a file of {file_len} bytes; it is damaged");
+        return Err(Error::format(path, format!("byte {}: LAS: {what}", at + 4)));
     }
     Ok(())
 }

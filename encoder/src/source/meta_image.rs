@@ -84,7 +84,8 @@ impl Header {
             "ElementToIntensityFunctionSlope" => self.scale[0] = value.parse().map_err(|_| bad())?,
             "ElementToIntensityFunctionOffset" => self.scale[1] = value.parse().map_err(|_| bad())?,
             "ElementType" => {
-                self.dtype = Some(match value {
+                // Arrays are what has several channels, by another name.
+                self.dtype = Some(match value.strip_suffix("_ARRAY").unwrap_or(value) {
                     "MET_UCHAR" => Dtype::U8,
                     "MET_CHAR" => Dtype::I8,
                     "MET_USHORT" => Dtype::U16,

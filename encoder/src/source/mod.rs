@@ -8,7 +8,7 @@
 //! | `place`, `measure`, `values` | nothing: spacing and axes, what is solid and its colours, values in other forms | |
 //! | `heightmap`, `geotiff`, `grids`, `dem` | PNG, JPEG, TIFF, GeoTIFF, ESRI ASCII grids, SRTM, RAW16, USGS DEM | image column is x, row is z |
 //! | `mosaic` | folders of tiles of a map | x is east, z is south |
-//! | `stack`, `tiff_pages` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
+//! | `stack` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
 //! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
@@ -91,7 +91,6 @@ mod text;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod tiff;
-mod tiff_pages;
 mod values;
 mod volume;
 mod vox;
@@ -406,6 +405,7 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     }
     let failed = |e| Error::io(path, "read", e);
     let (mut tiffs, mut grids, mut pictures, mut dicoms) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut n_packed = 0;
     for entry in fs::read_dir(path).map_err(failed)? {
         let file = entry.map_err(failed)?.path();
         let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
@@ -416,6 +416,7 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         match kind.as_str() {
             "tif" | "tiff" => tiffs.push(file),
             "asc" | "hgt" => grids.push(file),
+            "gz" => n_packed += usize::from(is_packed_tile(&file)),
             "png" | "jpg" | "jpeg" => pictures.push(file),
             _ if is_dicom(&file) => dicoms.push(file),
             _ => {}
@@ -431,10 +432,16 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         && opts.format != Some(Format::Stack)
         && mosaic::is_tile(first)?
     {
-        return Ok(Box::new(mosaic::mosaic(path, tiles, opts)?));
+        let mut rows = mosaic::mosaic(path, tiles, opts)?;
+        let n_grids = if tiffs.is_empty() { 0 } else { grids.len() };
+        rows.about.left_out.extend(unread(&[("packed (.gz)", n_packed), ("grid (.asc, .hgt)", n_grids)]));
+        rows.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures), ("DICOM", n_dicoms)]));
+        return Ok(Box::new(rows));
     }
     let mut volume = if !tiffs.is_empty() {
         let mut volume = stack::folder(path, &tiffs, opts)?;
+        let n_grids = grids.len();
+        volume.about.left_out.extend(unread(&[("packed (.gz)", n_packed), ("grid (.asc, .hgt)", n_grids)]));
         volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures), ("DICOM", n_dicoms)]));
         volume
     } else if !dicoms.is_empty() && opts.format != Some(Format::Stack) {
@@ -442,6 +449,12 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     } else if !pictures.is_empty() {
         stack::pictures(path, &pictures, opts)?
     } else {
+        if n_packed > 0 {
+            return Err(Error::format(
+                path,
+                format!("a folder of {n_packed} tiles packed by gzip; unpack them first (gunzip)"),
+            ));
+        }
         let what = "a folder without .tif, .asc, .hgt, .png, .jpg or DICOM files and no Zarr; expected the slices of a volume or \
             tiles of a map";
         return Err(Error::format(path, what));
@@ -450,6 +463,12 @@ fn folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
         volume.about.left_out.extend(unread(&[("PNG or JPEG", n_pictures)]));
     }
     Ok(Box::new(volume))
+}
+
+/// Whether a file's name is that of a tile which gzip packed.
+fn is_packed_tile(file: &Path) -> bool {
+    let inner = file.file_stem().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
+    [".hgt", ".asc", ".tif"].iter().any(|ending| inner.ends_with(ending))
 }
 
 /// Sorts by name, numbers in names by their value: slice2 before slice10.
@@ -680,6 +699,32 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
     if head.starts_with(b"# vtk DataFile") {
         return fail("this is a file of VTK's older text format, which is not read; save it as .vti");
     }
+    // Kinds that are known by how they begin, and not read.
+    const RASTER: &str = "convert it to GeoTIFF: gdal_translate IN out.tif";
+    const UNREAD: &[(&[u8], &str, &str)] = &[
+        (b"EHFA_HEADER_TAG", "an ERDAS Imagine raster", RASTER),
+        (b"\0\0\0\x0cjP  \r\n", "a picture in JPEG 2000", RASTER),
+        (b"DSAA", "a Surfer grid", RASTER),
+        (b"DSBB", "a Surfer grid", RASTER),
+        (b"DSRB", "a Surfer grid", RASTER),
+        (b"NITF", "a NITF raster", RASTER),
+        (b"<VRTDataset", "a list of rasters (VRT)", RASTER),
+        (b"SQLite format 3\0", "a database (GeoPackage, MBTiles)", RASTER),
+        (b"SIMPLE  =", "a FITS file", "write its array as NPY"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5, or netCDF-4", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+        (b"CDF\x01", "netCDF", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+        (b"CDF\x02", "netCDF", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+        (b"CDF\x05", "netCDF", "write one variable as Zarr (xarray: to_zarr) or NPY"),
+    ];
+    if let Some((_, what, advice)) = UNREAD.iter().find(|(magic, _, _)| head.starts_with(magic)) {
+        return fail(&format!("this is {what}, which is not read; {advice}"));
+    }
+    if head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WEBP") {
+        return fail("this is a picture in WebP, which is not read; save it as PNG");
+    }
+    if head.starts_with(b"PK\x03\x04") && !name.ends_with(".npz") {
+        return fail("this is a zip archive; unpack it first");
+    }
     match name.strip_suffix(".gz").unwrap_or(&name).rsplit('.').next().unwrap_or_default() {
         "vxl" => Ok(Format::Vxl),
         "dem" => Ok(Format::Dem),
@@ -701,6 +746,9 @@ pub fn detect(path: &Path, head: &[u8]) -> Result<Format> {
         "qbt" | "qbcl" | "qef" => fail("of Qubicle's formats .qb is read; export it as Qubicle Binary"),
         "e57" | "pts" | "ptx" => {
             fail("of clouds of points LAS, LAZ, PCD and PLY are read; convert it, with PDAL for one")
+        }
+        "bil" | "bip" | "bsq" | "flt" | "adf" | "sdat" | "gtx" => {
+            fail("a raster whose header is a file of its own, which is not read; convert it: gdal_translate IN out.tif")
         }
         "pcast" => fail("this is a scene already; encode takes what a scene is made from"),
         _ if head.is_empty() => fail("the file is empty"),
@@ -749,6 +797,9 @@ fn detect_content(head: &[u8]) -> Option<Format> {
     } else {
         head
     };
+    if grids::is_asc(head) {
+        return Some(Format::Asc);
+    }
     if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
         return Some(Format::Ply);
     }

@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use super::geo::{Length, Model, Place};
 use super::heightmap::{self, Map, Up};
 use super::heights::Heights;
-use super::pixels::stream;
 use super::{ReadOptions, geotiff, grids, guarded, map, world_dims};
 use crate::model::pieces::Rows;
 use crate::{Error, Result};
@@ -62,7 +61,7 @@ fn read(file: &Path, opts: &ReadOptions) -> Result<Map> {
     match ending(file).as_str() {
         "asc" => grids::asc(file, &bytes, opts),
         "hgt" => grids::hgt(file, &bytes, opts),
-        _ => guarded(file, "TIFF", || geotiff::read(file, stream(file, &bytes, true)?, bytes.len(), opts)),
+        _ => guarded(file, "TIFF", || geotiff::read(file, &bytes, true, opts)),
     }
 }
 

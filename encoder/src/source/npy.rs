@@ -10,7 +10,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::heights::Heights;
-use super::tiff_pages::half;
+use super::tiff::half;
 use super::volume::{Data, Sample, Stored, Volume, byte_len, with_sample};
 use super::{Dtype, ReadOptions, heightmap, world_dims};
 use crate::model::about::Kind;

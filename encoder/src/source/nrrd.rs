@@ -259,10 +259,10 @@ impl NrrdHeader {
     fn files(&self, bytes: &[u8], header_end: usize) -> Result<Vec<PathBuf>, String> {
         let Some(text) = &self.data_file else { return Ok(Vec::new()) };
         if text.split_whitespace().next() == Some("LIST") {
-            if text.split_whitespace().count() > 1 {
-                return Err(format!(
-                    "data file {text:?}: files of parts of slices are not supported; save it as one file"
-                ));
+            // How many axes a file has follows: they are joined in this order whichever it is.
+            let axes = text.split_whitespace().nth(1).map(str::parse::<u8>);
+            if text.split_whitespace().count() > 2 || axes.is_some_and(|n| n.is_err()) {
+                return Err(format!("data file {text:?}: expected LIST, or LIST and the number of axes of a file"));
             }
             let names = String::from_utf8_lossy(&bytes[header_end.min(bytes.len())..]).into_owned();
             let names: Vec<PathBuf> =
@@ -274,10 +274,16 @@ impl NrrdHeader {
         }
         let words: Vec<&str> = text.split_whitespace().collect();
         let number = |i: usize| words.get(i).and_then(|w| w.parse::<i64>().ok());
-        let (&[pattern, _, _, _], Some(first), Some(last), Some(step)) =
-            (words.as_slice(), number(1), number(2), number(3))
-        else {
-            return Err(format!("data file {text:?}: expected a name with %d, first, last, step"));
+        let (Some(&pattern), Some(first), Some(last), Some(step), true) = (
+            words.first(),
+            number(1),
+            number(2),
+            number(3),
+            words.len() == 4 || words.len() == 5 && number(4).is_some(),
+        ) else {
+            return Err(format!(
+                "data file {text:?}: expected a name with %d, first, last, step, axes of a file or none"
+            ));
         };
         numbered(pattern, first, last, step)
             .ok_or_else(|| format!("data file {text:?}: expected a name with %d or %03d, at most a million of them"))

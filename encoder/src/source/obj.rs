@@ -307,14 +307,16 @@ fn library(path: &Path, bytes: &[u8], to: &mut HashMap<String, Material>) -> Res
             let at = at + bytes.len() - text.len();
             Error::format(path, format!("byte {at}: MTL: {:?} is not understood", shown(line)))
         };
+        // Some writers have keywords in capitals or small letters throughout.
+        let statement = statement.to_ascii_lowercase();
         if statement == b"newmtl" {
             to.extend(current.replace((String::from_utf8_lossy(rest).into_owned(), Material::default())));
             continue;
         }
         let Some((_, material)) = &mut current else { continue };
         let one = || words(rest).next().and_then(number::<f64>);
-        match statement {
-            b"Kd" => {
+        match statement.as_slice() {
+            b"kd" => {
                 let mut of = words(rest).peekable();
                 match of.peek() {
                     // Spectra and CIE XYZ, which hardly anybody writes.
@@ -331,9 +333,9 @@ fn library(path: &Path, bytes: &[u8], to: &mut HashMap<String, Material>) -> Res
                 }
             }
             b"d" => material.clear |= one().is_some_and(|d| d < 1.0),
-            b"Tr" => material.clear |= one().is_some_and(|t| t > 0.0 && t < 1.0),
+            b"tr" => material.clear |= one().is_some_and(|t| t > 0.0 && t < 1.0),
             b"map_d" => material.clear = true,
-            b"map_Kd" | b"map_kd" => material.picture = picture(rest),
+            b"map_kd" => material.picture = picture(rest),
             _ => {}
         }
     }

@@ -21,6 +21,39 @@ pub(super) struct Place {
     pub stated: &'static str,
 }
 
+/// A length by its name: in metres, and as it is said.
+pub(super) fn length_unit(name: &str) -> Option<(f64, &'static str)> {
+    Some(match name {
+        "Å" | "\u{212b}" | "angstrom" => (1e-10, "Å"),
+        "pm" | "picometer" | "picometre" => (1e-12, "pm"),
+        "nm" | "nanometer" | "nanometre" => (1e-9, "nm"),
+        "µm" | "\u{3bc}m" | "um" | "micrometer" | "micrometre" | "micron" | "microns" => (1e-6, "µm"),
+        "mm" | "millimeter" | "millimetre" => (1e-3, "mm"),
+        "cm" | "centimeter" | "centimetre" => (1e-2, "cm"),
+        "m" | "meter" | "metre" | "meters" | "metres" => (1.0, "m"),
+        "km" | "kilometer" | "kilometre" => (1e3, "km"),
+        "in" | "inch" => (0.0254, "in"),
+        "ft" | "foot" => (0.3048, "ft"),
+        _ => return None,
+    })
+}
+
+/// Distances with a unit each in the unit of the first; None where units differ that are no known lengths.
+pub(super) fn in_one_unit(steps: [(f64, &str); 3]) -> Option<([f64; 3], String)> {
+    let (_, first) = steps[0];
+    if steps.iter().all(|(_, unit)| *unit == first) {
+        let name = length_unit(first).map_or(first, |(_, name)| name);
+        return Some((steps.map(|(v, _)| v), name.to_owned()));
+    }
+    let (to, name) = length_unit(first)?;
+    let mut out = [0.0; 3];
+    for (out, (v, unit)) in out.iter_mut().zip(steps) {
+        // Without the last digits of a quotient.
+        *out = format!("{:.9e}", v * length_unit(unit)?.0 / to).parse().ok()?;
+    }
+    Some((out, name.to_owned()))
+}
+
 /// Axes of the file that became x, y (up), z of the world.
 pub(super) struct Oriented {
     pub axes: [usize; 3],

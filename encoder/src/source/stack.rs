@@ -11,7 +11,8 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::heightmap::plausible;
-use super::tiff_pages::{Ifd, Page, Tiff, luma, tag};
+use super::place::in_one_unit;
+use super::tiff::{Image, Page, Tiff, luma, tags};
 use super::volume::{Data, Stored, Volume};
 use super::{Dtype, ReadOptions, guarded, map, world_dims};
 use crate::model::about::Kind;
@@ -88,7 +89,7 @@ pub(super) fn read<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadO
 pub(super) fn is_stack(path: &Path, bytes: &[u8]) -> bool {
     let several = || {
         let tiff = Tiff::open(path, bytes, false)?;
-        let placed = tiff.pages.iter().any(|ifd| tiff.is_placed(ifd));
+        let placed = tiff.pages.iter().any(Page::is_placed);
         let plan = plan(path, &tiff)?;
         Ok(!placed && (plan.slices.len() > 1 || plan.planes > 1))
     };
@@ -101,7 +102,7 @@ fn plan(path: &Path, tiff: &Tiff) -> Result<Plan> {
         return Err(Error::format(path, "every page is a smaller copy or a mask; a stack has one page at least"));
     };
     let first = &tiff.pages[main];
-    let text = tiff.text(first, tag::DESCRIPTION).unwrap_or_default();
+    let text = tiff.text(first, tags::DESCRIPTION)?.unwrap_or_default();
     let mut plan = if text.trim_end().ends_with("OME>") || text.contains("<OME ") || text.contains(":OME ") {
         ome(path, tiff, &text)?
     } else if text.starts_with("ImageJ=") {
@@ -118,12 +119,12 @@ fn plan(path: &Path, tiff: &Tiff) -> Result<Plan> {
         generic(tiff, main)
     };
     if plan.voxel.is_none()
-        && let Some(info) = tiff.raw(first, tag::CZ_LSM_INFO)
+        && let Some(info) = tiff.bytes_of(first, tags::CZ_LSM_INFO)?
     {
         plan.voxel = lsm_voxel(tiff, info);
         "µm".clone_into(&mut plan.unit);
     }
-    gdal_scale(tiff, first, &mut plan);
+    gdal_scale(tiff, first, &mut plan)?;
     if plan.slices.is_empty() {
         return Err(Error::format(path, "the file names no slices; a stack has one at least"));
     }
@@ -165,7 +166,7 @@ fn counted(path: &Path, tiff: &Tiff, main: usize, format: &'static str, axes: &A
 /// Slices of which the first alone has a directory: the others follow it.
 fn in_one_piece(path: &Path, tiff: &Tiff, main: usize, format: &'static str, axes: &Axes, n: u64) -> Result<Plan> {
     let ifd = &tiff.pages[main];
-    let of = Page::new(path, tiff, ifd)?;
+    let of = layout(tiff, ifd)?;
     let Some(start) = of.contiguous() else {
         let what = format!("{format} of {n} slices with one directory, which are compressed or in pieces");
         return Err(Error::format(path, format!("directory at byte {}: {what}; save it as pages", ifd.at)));
@@ -183,22 +184,22 @@ fn in_one_piece(path: &Path, tiff: &Tiff, main: usize, format: &'static str, axe
 fn generic(tiff: &Tiff, main: usize) -> Plan {
     let mut plan = Plan { format: "TIFF", ..Plan::default() };
     let (mut extra, mut unlike) = (0, Vec::new());
-    let like = |ifd: &Ifd| {
-        let int = |t| tiff.int(ifd, t);
+    let like = |ifd: &Page| {
+        let int = |t| tiff.hint(ifd, t);
         (
-            int(tag::WIDTH),
-            int(tag::LENGTH),
-            int(tag::BITS),
-            int(tag::SAMPLE_FORMAT).unwrap_or(1),
-            int(tag::SAMPLES).unwrap_or(1),
+            int(tags::WIDTH),
+            int(tags::HEIGHT),
+            int(tags::BITS),
+            int(tags::SAMPLE_FORMAT).unwrap_or(1),
+            int(tags::SAMPLES).unwrap_or(1),
         )
     };
     for (i, ifd) in tiff.pages.iter().enumerate() {
-        let size = |t| tiff.int(ifd, t).unwrap_or(0);
+        let size = |t| tiff.hint(ifd, t).unwrap_or(0);
         if tiff.is_extra(ifd) {
             extra += 1;
         } else if like(ifd) != like(&tiff.pages[main]) {
-            unlike.push(format!("{} × {} of {} bits", size(tag::WIDTH), size(tag::LENGTH), size(tag::BITS)));
+            unlike.push(format!("{} × {} of {} bits", size(tags::WIDTH), size(tags::HEIGHT), size(tags::BITS)));
         } else {
             plan.slices.push(page(i as u64));
         }
@@ -209,7 +210,8 @@ fn generic(tiff: &Tiff, main: usize) -> Plan {
     if let Some(size) = unlike.first() {
         plan.left_out.push(format!("{} pages unlike the first ({size})", unlike.len()));
     }
-    if let Some(n) = tiff.ints(&tiff.pages[main], tag::SUB_IFDS).map(|v| v.len()).filter(|&n| n > 0) {
+    let n = tiff.pages[main].count(tags::SUB_IFDS);
+    if n > 0 {
         plan.left_out.push(format!("{n} smaller copies of each page"));
     }
     plan
@@ -226,7 +228,7 @@ fn imagej(path: &Path, tiff: &Tiff, main: usize, text: &str) -> Result<Plan> {
     let images = count("images").unwrap_or(1);
     let own = tiff.pages.iter().filter(|ifd| !tiff.is_extra(ifd)).count() as u64;
     // Channels that are samples of a pixel have no pages of their own.
-    let samples = tiff.int(first, tag::SAMPLES).unwrap_or(1);
+    let samples = tiff.hint(first, tags::SAMPLES).unwrap_or(1);
     if c > 1 && c == samples && own.max(images) == z.saturating_mul(t) {
         c = 1;
     }
@@ -248,9 +250,12 @@ fn imagej(path: &Path, tiff: &Tiff, main: usize, text: &str) -> Result<Plan> {
         "pixel" | "pixels" => String::new(),
         other => other.chars().take(32).collect(),
     };
-    let side = |t: u16| tiff.ratio(first, t).filter(|&r| r > 0.0).map(|r| 1.0 / r);
+    let side = |t: u16| {
+        let ratio = tiff.numbers(first, t).ok().flatten()?.first().copied();
+        ratio.filter(|&r| r > 0.0 && r.is_finite()).map(|r| 1.0 / r)
+    };
     let sides =
-        (side(tag::X_RESOLUTION), side(tag::Y_RESOLUTION), number("spacing").map(f64::abs).filter(|&v| v > 0.0));
+        (side(tags::X_RESOLUTION), side(tags::Y_RESOLUTION), number("spacing").map(f64::abs).filter(|&v| v > 0.0));
     if let (Some(x), Some(y), Some(z), false) = (sides.0, sides.1, sides.2, plan.unit.is_empty()) {
         plan.voxel = Some([x, y, z].map(rounded));
     }
@@ -283,7 +288,7 @@ fn shaped(path: &Path, tiff: &Tiff, main: usize, text: &str) -> Result<Option<Pl
     let shape: Option<Vec<u64>> =
         json["shape"].as_array().and_then(|v| v.iter().map(serde_json::Value::as_u64).collect());
     let Some(shape) = shape.filter(|s| !s.is_empty()) else { return Ok(None) };
-    let of = Page::new(path, tiff, &tiff.pages[main])?;
+    let of = layout(tiff, &tiff.pages[main])?;
     let (w, h, s) = (u64::from(of.width), u64::from(of.height), u64::from(of.samples));
     // What of the shape is in a page: rows, columns, samples before or after them.
     let inner = if s == 1 { vec![vec![h, w]] } else { vec![vec![s, h, w], vec![h, w, s]] };
@@ -324,8 +329,8 @@ fn scifio(text: &str) -> Option<Axes> {
 }
 
 /// Zeiss: signed words 2 to 6 are x, y, z, channels (samples of a page), times.
-fn lsm_axes(tiff: &Tiff, ifd: &Ifd) -> Option<Axes> {
-    let info = tiff.raw(ifd, tag::CZ_LSM_INFO)?;
+fn lsm_axes(tiff: &Tiff, ifd: &Page) -> Option<Axes> {
+    let info = tiff.bytes_of(ifd, tags::CZ_LSM_INFO).ok().flatten()?;
     let word = |i: usize| {
         let b: [u8; 4] = info.get(4 * i..4 * i + 4)?.try_into().ok()?;
         Some(u64::from(if tiff.big_endian { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) }))
@@ -345,16 +350,16 @@ fn lsm_voxel(tiff: &Tiff, info: &[u8]) -> Option<[f64; 3]> {
 }
 
 /// Planes of a MetaMorph stack.
-fn metamorph(tiff: &Tiff, ifd: &Ifd) -> Option<u64> {
+fn metamorph(tiff: &Tiff, ifd: &Page) -> Option<u64> {
     // Six whole numbers a plane, as three quotients, at the place that the tag names; its count is that of planes.
-    let n = tiff.count(ifd, tag::UIC2)?;
+    let n = ifd.count(tags::UIC2);
     (n > 1 && tiff.pages.len() == 1).then_some(n)
 }
 
 /// GDAL's scale and offset of the first band, where ImageJ said nothing.
-fn gdal_scale(tiff: &Tiff, ifd: &Ifd, plan: &mut Plan) {
-    let Some(text) = tiff.text(ifd, tag::GDAL_METADATA) else { return };
-    let Ok(xml) = roxmltree::Document::parse(text.trim()) else { return };
+fn gdal_scale(tiff: &Tiff, ifd: &Page, plan: &mut Plan) -> Result<()> {
+    let Some(text) = tiff.text(ifd, tags::GDAL_METADATA)? else { return Ok(()) };
+    let Ok(xml) = roxmltree::Document::parse(text.trim()) else { return Ok(()) };
     let item = |name: &str| -> Option<String> {
         let of = |i: &roxmltree::Node| {
             i.attribute("role") == Some(name) && matches!(i.attribute("sample"), None | Some("0"))
@@ -369,6 +374,7 @@ fn gdal_scale(tiff: &Tiff, ifd: &Ifd, plan: &mut Plan) {
     if let Some(unit) = item("unittype").filter(|_| plan.rule.is_empty()) {
         plan.rule = format!("values in {unit}");
     }
+    Ok(())
 }
 
 /// OME-XML: sizes, their order, and which directory of which file holds which plane.
@@ -498,7 +504,7 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
         }
         plan
     };
-    let of = Page::new(path, tiff, &tiff.pages[0])?;
+    let of = layout(tiff, &tiff.pages[0])?;
     if (u64::from(of.width), u64::from(of.height)) != (sx, sy) {
         return Err(fail(format!("{sx} × {sy} pixels, the page has {} × {}", of.width, of.height)));
     }
@@ -512,21 +518,21 @@ fn ome_image(path: &Path, tiff: &Tiff, text: &str, fail: &dyn Fn(String) -> Erro
     if let (Some(x), Some(y)) = (side("PhysicalSizeX"), side("PhysicalSizeY")) {
         let units = ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"]
             .map(|u| pixels.attribute(u).unwrap_or("µm"));
-        match side("PhysicalSizeZ") {
-            Some(z) if units.iter().all(|u| *u == units[0]) => {
-                plan.voxel = Some([x, y, z]);
-                plan.unit = units[0].chars().take(32).collect();
+        if let Some(z) = side("PhysicalSizeZ") {
+            match in_one_unit([(x, units[0]), (y, units[1]), (z, units[2])]) {
+                Some((voxel, unit)) => (plan.voxel, plan.unit) = (Some(voxel), unit.chars().take(32).collect()),
+                None => plan.left_out.push(format!(
+                    "voxels of {x} {} × {y} {} × {z} {} are drawn as cubes",
+                    units[0], units[1], units[2]
+                )),
             }
-            Some(z) => plan
-                .left_out
-                .push(format!("voxels of {x} {} × {y} {} × {z} {} are drawn as cubes", units[0], units[1], units[2])),
-            None => {}
         }
     }
     if images.len() > 1 {
         plan.left_out.push(format!("{} of {} images: the first is read", images.len() - 1, images.len()));
     }
-    if let Some(n) = tiff.ints(&tiff.pages[0], tag::SUB_IFDS).map(|v| v.len()).filter(|&n| n > 0) {
+    let n = tiff.pages[0].count(tags::SUB_IFDS);
+    if n > 0 {
         plan.left_out.push(format!("{n} coarser resolutions"));
     }
     Ok(plan)
@@ -537,7 +543,7 @@ fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> R
     let Plan { slices, format, voxel, unit, scale, rule, left_out, .. } = plan;
     let home = slices.iter().find(|s| s.file.is_none()).map_or(0, |s| s.page);
     let ifd = &tiff.pages[home];
-    let of = Page::new(path, tiff, ifd)?;
+    let of = layout(tiff, ifd)?;
     let dims = [of.width.into(), of.height.into(), slices.len() as u64];
     let mut about = About::new(Kind::Volume, format);
     about.axes = "columns are x, rows y, slices z".to_owned();
@@ -549,7 +555,7 @@ fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> R
             if about.rule.is_empty() { String::new() } else { format!(", {}", about.rule) }
         );
     }
-    let missing = tiff.text(ifd, tag::GDAL_NODATA).and_then(|t| t.trim().parse::<f64>().ok()).filter(|v| !v.is_nan());
+    let missing = nodata(tiff, ifd)?;
     if let Some(v) = missing {
         about.rule = format!(
             "{}{v} is air (GDAL no-data)",
@@ -600,17 +606,43 @@ fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> R
     out.finish(path, about, scale, missing, opts)
 }
 
+/// GDAL's no-data value; NaN is none in any case.
+fn nodata(tiff: &Tiff, page: &Page) -> Result<Option<f64>> {
+    let text = tiff.text(page, tags::GDAL_NODATA)?;
+    Ok(text.and_then(|t| t.trim().parse::<f64>().ok()).filter(|v| !v.is_nan()))
+}
+
+/// How a page is laid out; colours of which no brightness is known are refused.
+fn layout(tiff: &Tiff, page: &Page) -> Result<Image> {
+    let image = tiff.image(page)?;
+    let name = match image.photometric {
+        0 | 1 | 3 | 4 | 32_803 => return Ok(image),
+        // Many writers mark two channels so.
+        2 if image.samples < 3 || !image.is_jpeg() => return Ok(image),
+        6 if image.is_jpeg() && image.is_color() && image.samples == 3 => return Ok(image),
+        2 => "RGB as JPEG",
+        5 => "CMYK",
+        6 => "YCbCr",
+        8..=10 => "L*a*b*",
+        32_844 | 32_845 => "LogL and LogLuv",
+        _ => "of a kind that is not known",
+    };
+    let what =
+        format!("colours {name} (PhotometricInterpretation {}) are not read; save it as grey", image.photometric);
+    Err(tiff.fault(format!("page {} at byte {}: {what}", page.index, page.at)))
+}
+
 /// What of a page's samples is not in the volume.
-fn say_samples(tiff: &Tiff, ifd: &Ifd, of: &Page, about: &mut About) {
+fn say_samples(tiff: &Tiff, ifd: &Page, of: &Image, about: &mut About) {
     if of.is_color() {
         about.left_out.push("colours: their brightness is the value".to_owned());
     } else if of.samples > 1 {
         about.left_out.push(format!("{} of {} samples of each pixel: the first is read", of.samples - 1, of.samples));
     }
-    if of.photometric == 3 && tiff.count(ifd, tag::COLOR_MAP).is_some() {
+    if of.photometric == 3 && ifd.has(tags::COLOR_MAP) {
         about.left_out.push("the colour table: values are its places".to_owned());
     }
-    if let Some(n) = tiff.int(ifd, tag::ORIENTATION).filter(|&n| n > 1) {
+    if let Some(n) = tiff.hint(ifd, tags::ORIENTATION).filter(|&n| n > 1) {
         about.left_out.push(format!("orientation {n}: rows and columns are as stored"));
     }
 }
@@ -654,7 +686,7 @@ impl Scratch {
     }
 
     fn page(&mut self, path: &Path, tiff: &Tiff, page: usize, n: usize) -> Result<()> {
-        let of = Page::new(path, tiff, &tiff.pages[page])?;
+        let of = layout(tiff, &tiff.pages[page])?;
         self.begin(path, [of.width, of.height], of.dtype(), n)?;
         // Tiles that were never written, and codecs without an end, make much of little.
         let most = (tiff.all.len() as u64).saturating_mul(40_000).saturating_add(1 << 32);
@@ -662,11 +694,11 @@ impl Scratch {
             let what = format!("{} bytes cannot hold {} slices of {} bytes", tiff.all.len(), self.n, of.byte_len());
             return Err(Error::format(path, what));
         }
-        of.bands(path, tiff, 0, |band| self.out.write_all(band).map_err(failing("write a file in")))
+        tiff.bands(&of, 0, |band| self.out.write_all(band).map_err(failing("write a file in")))
     }
 
     /// Values that lie in the file as they are, but for the order of their bytes.
-    fn raw(&mut self, tiff: &Tiff, of: &Page, at: u64, n: usize) -> Result<()> {
+    fn raw(&mut self, tiff: &Tiff, of: &Image, at: u64, n: usize) -> Result<()> {
         self.begin(Path::new(""), [of.width, of.height], of.dtype(), n)?;
         let bytes = &tiff.all[at as usize..(at + of.byte_len()) as usize];
         let swap = tiff.big_endian != cfg!(target_endian = "big");
@@ -719,7 +751,7 @@ pub(super) fn folder(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
             for s in &plan.slices {
                 let n = out.n as usize;
                 if s.plane > 0 {
-                    let of = Page::new(file, &tiff, &tiff.pages[s.page])?;
+                    let of = layout(&tiff, &tiff.pages[s.page])?;
                     let at = of.contiguous().unwrap_or(0) + s.plane * of.byte_len();
                     out.raw(&tiff, &of, at, n)?;
                 } else {
@@ -729,7 +761,7 @@ pub(super) fn folder(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
             let ifd = &tiff.pages[plan.slices[0].page];
             let mut own = About::new(Kind::Volume, format!("a folder of {} {} files", files.len(), plan.format));
             own.left_out = plan.left_out;
-            say_samples(&tiff, ifd, &Page::new(file, &tiff, ifd)?, &mut own);
+            say_samples(&tiff, ifd, &layout(&tiff, ifd)?, &mut own);
             for phrase in own.left_out.drain(..) {
                 if !left_out.contains(&phrase) {
                     left_out.push(phrase);
@@ -740,8 +772,7 @@ pub(super) fn folder(path: &Path, files: &[PathBuf], opts: &ReadOptions) -> Resu
                 if let Some((slope, inter)) = scale {
                     own.rule = format!("values are stored · {slope} + {inter}");
                 }
-                missing =
-                    tiff.text(ifd, tag::GDAL_NODATA).and_then(|t| t.trim().parse::<f64>().ok()).filter(|v| !v.is_nan());
+                missing = nodata(&tiff, ifd)?;
                 about = Some(own);
             } else if plan.scale != scale {
                 let what = format!("values mean stored · {:?}, in the first file · {scale:?}", plan.scale);

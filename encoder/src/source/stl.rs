@@ -160,10 +160,16 @@ impl<'a> Words<'a> {
         let rest = &self.text[self.at..];
         let len = rest.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(rest.len());
         let lower = rest[..len].to_ascii_lowercase();
+        // A name may have the word, too: the facet's goes on with numbers, or with nothing that was one.
         let facet =
-            lower.windows(7).zip(0..).find(|(word, _)| word.starts_with(b" facet") && word[6].is_ascii_whitespace());
-        let normal = |at: usize| lower[at + 7..].trim_ascii_start().starts_with(b"normal");
-        self.at += facet.map(|(_, at)| at).filter(|&at| normal(at)).unwrap_or(len);
+            lower.windows(7).zip(0..).filter(|(word, _)| word.starts_with(b" facet") && word[6].is_ascii_whitespace());
+        let mut facets = facet.map(|(_, at)| at);
+        let starts = |at: usize| {
+            let mut words = lower[at + 7..].split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
+            let normal = words.next() == Some(b"normal");
+            normal && words.next().is_none_or(|w| number::<f64>(w).is_some() || w == b"outer" || w.ends_with(b")"))
+        };
+        self.at += facets.find(|&at| starts(at)).unwrap_or(len);
     }
 
     fn fail<T>(&self, what: impl std::fmt::Display) -> Result<T> {

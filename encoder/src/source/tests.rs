@@ -927,6 +927,18 @@ fn kind_is_found_from_the_content_then_the_name() {
         assert!(e.contains(says), "{e}");
     }
     assert!(detect(Path::new("a.xyz"), &gzip(b"something else")).is_err());
+    let unread: [(&str, &[u8], &str); 5] = [
+        ("a.img", b"EHFA_HEADER_TAG\0", "gdal_translate"),
+        ("a.nc", b"\x89HDF\r\n\x1a\n", "to_zarr"),
+        ("a.webp", b"RIFF\0\0\0\0WEBPVP8 ", "save it as PNG"),
+        ("a.hgt.zip", b"PK\x03\x04", "unpack it"),
+        ("a.bil", &[0; 64], "gdal_translate"),
+    ];
+    for (name, head, says) in unread {
+        let e = detect(Path::new(name), head).unwrap_err().to_string();
+        assert!(e.contains("not read") && e.contains(says) || e.contains("zip archive; unpack it first"), "{e}");
+    }
+    assert!(detect(Path::new("a.npz"), b"PK\x03\x04").unwrap_err().to_string().contains("numpy.load"));
     assert!(detect(Path::new("a.xyz"), b"").unwrap_err().to_string().contains("empty"));
 }
 

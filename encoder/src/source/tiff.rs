@@ -1,47 +1,65 @@
-//! TIFF and BigTIFF as directories of tags and chunks (strips or tiles) of samples, in either byte order.
+//! TIFF and BigTIFF as pages of tags and chunks (strips or tiles) of samples, in either byte order: for rasters sample by sample
+//! ([`Image::value`]), for stacks as bands of rows of one type ([`Tiff::bands`]).
 //!
-//! The `tiff` crate unpacks JPEG and fax here and nothing else: in 0.11.3 it reads chunks of no bytes, which valid files have
-//! (GDAL's sparse files), as the file's first bytes, complements values where 0 is white, and takes no samples of 9 to 15
-//! bits. LZW, deflate and Zstandard are of the crates that it uses, too.
+//! Pages and chunks are read here, codecs come from crates. The crate `tiff` (0.11.3) reads chunks of no bytes, which valid
+//! files have (GDAL's sparse files), as the file's first bytes, complements values where 0 is white, and takes no samples of
+//! 9 to 15 bits.
 //!
-//! After TIFF 6.0 (Adobe, 1992), Technical Note 3 (predictor 3) and the BigTIFF text of libtiff.
+//! After TIFF 6.0 (Adobe, 1992), its Technical Notes 1 to 3 (predictor 3, floats of 24 bits) and the BigTIFF text of libtiff.
 
-use std::io::{Read, SeekFrom};
-use std::path::Path;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashSet};
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
-use super::pixels::Stream;
+use super::{Dtype, guarded};
+use crate::store::scratch::read_at;
 use crate::{Error, Result};
 
+/// Tags by number.
 pub(super) mod tags {
     pub const NEW_SUBFILE_TYPE: u16 = 254;
+    pub const SUBFILE_TYPE: u16 = 255;
     pub const WIDTH: u16 = 256;
     pub const HEIGHT: u16 = 257;
     pub const BITS: u16 = 258;
     pub const COMPRESSION: u16 = 259;
     pub const PHOTOMETRIC: u16 = 262;
     pub const FILL_ORDER: u16 = 266;
+    pub const DESCRIPTION: u16 = 270;
     pub const STRIP_OFFSETS: u16 = 273;
     pub const ORIENTATION: u16 = 274;
     pub const SAMPLES: u16 = 277;
     pub const ROWS_PER_STRIP: u16 = 278;
     pub const STRIP_COUNTS: u16 = 279;
+    pub const X_RESOLUTION: u16 = 282;
+    pub const Y_RESOLUTION: u16 = 283;
     pub const PLANAR: u16 = 284;
+    pub const T4_OPTIONS: u16 = 292;
     pub const PREDICTOR: u16 = 317;
+    pub const COLOR_MAP: u16 = 320;
     pub const TILE_WIDTH: u16 = 322;
     pub const TILE_HEIGHT: u16 = 323;
     pub const TILE_OFFSETS: u16 = 324;
     pub const TILE_COUNTS: u16 = 325;
+    pub const SUB_IFDS: u16 = 330;
     pub const EXTRA_SAMPLES: u16 = 338;
     pub const SAMPLE_FORMAT: u16 = 339;
-    pub const PIXEL_SCALE: u16 = 33550;
-    pub const TIE_POINTS: u16 = 33922;
-    pub const TRANSFORMATION: u16 = 34264;
-    pub const GEO_KEYS: u16 = 34735;
-    pub const GEO_DOUBLES: u16 = 34736;
-    pub const GEO_TEXT: u16 = 34737;
-    pub const GDAL_METADATA: u16 = 42112;
-    pub const GDAL_NODATA: u16 = 42113;
-    pub const LERC_PARAMETERS: u16 = 50674;
+    pub const JPEG_TABLES: u16 = 347;
+    pub const IMAGE_DEPTH: u16 = 32_997;
+    pub const PIXEL_SCALE: u16 = 33_550;
+    /// MetaMorph: numbers of each plane of a stack with one directory.
+    pub const UIC2: u16 = 33_629;
+    pub const TIE_POINTS: u16 = 33_922;
+    pub const TRANSFORMATION: u16 = 34_264;
+    pub const CZ_LSM_INFO: u16 = 34_412;
+    pub const GEO_KEYS: u16 = 34_735;
+    pub const GEO_DOUBLES: u16 = 34_736;
+    pub const GEO_TEXT: u16 = 34_737;
+    pub const GDAL_METADATA: u16 = 42_112;
+    pub const GDAL_NODATA: u16 = 42_113;
+    pub const LERC_PARAMETERS: u16 = 50_674;
 }
 
 /// Pixels that a chunk without bytes may stand for: its entry in the directory has eight bytes at least.
@@ -50,15 +68,17 @@ const SPARSE_CHUNK: u64 = 1 << 22;
 /// Values of one LERC blob: its head can claim any number of equal ones.
 const LERC_LIMIT: u64 = 1 << 27;
 
-/// A file and its byte order.
+/// Bytes of a band of rows that are unpacked at once.
+const BAND_LIMIT: u64 = 1 << 31;
+
+/// A file: looked at through `all`, read from its file where it has one, so that what is read does not count as memory in use.
 pub(super) struct Tiff<'a> {
-    path: &'a Path,
-    input: Box<dyn Stream + 'a>,
-    len: u64,
-    big_endian: bool,
-    /// BigTIFF: offsets of 64 bits.
-    wide: bool,
-    first: u64,
+    path: PathBuf,
+    pub all: &'a [u8],
+    file: Option<File>,
+    pub big_endian: bool,
+    /// Pages that follow each other, from the first on.
+    pub pages: Vec<Page>,
 }
 
 /// A directory: the tags of one image.
@@ -66,12 +86,13 @@ pub(super) struct Tiff<'a> {
 pub(super) struct Page {
     /// Where in the chain it stands, from 0.
     pub index: usize,
-    entries: Vec<Entry>,
+    /// Where in the file.
+    pub at: u64,
+    entries: BTreeMap<u16, Entry>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 struct Entry {
-    tag: u16,
     kind: u16,
     count: u64,
     /// Where the values lie.
@@ -80,7 +101,17 @@ struct Entry {
 
 impl Page {
     pub fn has(&self, tag: u16) -> bool {
-        self.entries.iter().any(|e| e.tag == tag)
+        self.entries.contains_key(&tag)
+    }
+
+    /// How many values a tag has.
+    pub fn count(&self, tag: u16) -> u64 {
+        self.entries.get(&tag).map_or(0, |e| e.count)
+    }
+
+    /// Whether a page says where on Earth it lies.
+    pub fn is_placed(&self) -> bool {
+        [tags::PIXEL_SCALE, tags::TIE_POINTS, tags::TRANSFORMATION, tags::GEO_KEYS].iter().any(|t| self.has(*t))
     }
 }
 
@@ -95,7 +126,6 @@ pub(super) enum Sample {
 /// How the image of a page is laid out.
 #[derive(Clone, Debug)]
 pub(super) struct Image {
-    page: usize,
     pub width: u32,
     pub height: u32,
     /// Samples per pixel, and bits of each.
@@ -104,11 +134,12 @@ pub(super) struct Image {
     pub sample: Sample,
     /// 0: white is 0; 1: black is 0; 2: RGB; 3: palette; 4: mask; 5: CMYK; 6: YCbCr; 8: CIELab.
     pub photometric: u64,
-    pub compression: u64,
+    compression: Compression,
     predictor: u64,
     /// Samples of a kind lie together, each in chunks of their own.
     planar: bool,
     reversed_bits: bool,
+    jpeg_tables: Option<Vec<u8>>,
     /// What packs a LERC blob once more: 0 nothing, 1 deflate, 2 Zstandard.
     lerc: u64,
     /// What each extra sample is: 1 and 2 are alpha.
@@ -123,27 +154,50 @@ pub(super) struct Image {
 }
 
 impl<'a> Tiff<'a> {
-    pub fn open(path: &'a Path, mut input: Box<dyn Stream + 'a>, len: usize) -> Result<Tiff<'a>> {
-        let mut head = [0; 16];
-        let n = len.min(16);
-        input.read_exact(&mut head[..n]).map_err(|e| Error::io(path, "read", e))?;
-        let (big_endian, version) = match (&head[..2], [head[2], head[3]]) {
-            (b"II", v) => (false, u16::from_le_bytes(v)),
-            (b"MM", v) => (true, u16::from_be_bytes(v)),
+    /// `in_file` says that the file at `path` holds these bytes.
+    pub fn open(path: &Path, all: &'a [u8], in_file: bool) -> Result<Tiff<'a>> {
+        let big_endian = match all.get(..2) {
+            Some(b"II") => false,
+            Some(b"MM") => true,
             _ => return Err(Error::format(path, "byte 0: TIFF starts with \"II\" or \"MM\"")),
         };
-        let mut tiff = Tiff { path, input, len: len as u64, big_endian, wide: version == 43, first: 0 };
-        tiff.first = match version {
-            42 if n >= 8 => tiff.number(&head[4..8]),
-            43 if n == 16 && tiff.number(&head[4..6]) == 8 => tiff.number(&head[8..16]),
-            42 | 43 => return Err(tiff.fault("byte 4: the header is cut short or not of BigTIFF's form")),
-            _ => return Err(tiff.fault(format!("byte 2: version {version}; TIFF is 42, BigTIFF 43"))),
+        let file = in_file.then(|| File::open(path).map_err(|e| Error::io(path, "open", e))).transpose()?;
+        let mut tiff = Tiff { path: path.to_owned(), all, file, big_endian, pages: Vec::new() };
+        // BigTIFF has offsets of 64 bits.
+        let (wide, first) = match (tiff.at(2, 2), tiff.at(4, 2)) {
+            (Some(42), _) => (false, tiff.at(4, 4)),
+            (Some(43), Some(8)) => (true, tiff.at(8, 8)),
+            (Some(43), _) => return Err(tiff.fault("byte 4: the header is cut short or not of BigTIFF's form")),
+            (version, _) => {
+                let version = version.map_or("none".to_owned(), |v| v.to_string());
+                return Err(tiff.fault(format!("byte 2: version {version}; TIFF is 42, BigTIFF 43")));
+            }
         };
+        let mut next = first.ok_or_else(|| tiff.fault("byte 4: the header is cut short"))?;
+        let (mut seen, mut entries) = (HashSet::new(), 0);
+        while next != 0 {
+            if !seen.insert(next) {
+                return Err(tiff.fault(format!("byte {next}: the chain of pages comes back to this one")));
+            }
+            let (page, after) = tiff.page(next, wide).ok_or_else(|| {
+                tiff.fault(format!("byte {next}: the file ends inside the tags of page {}", tiff.pages.len()))
+            })?;
+            // Directories that do not overlap have no more entries than the file has room for.
+            entries += page.entries.len() + 1;
+            if entries > all.len() / 6 {
+                return Err(tiff.fault(format!("byte {next}: directories overlap")));
+            }
+            tiff.pages.push(page);
+            next = after;
+        }
+        if tiff.pages.is_empty() {
+            return Err(tiff.fault("no page; a picture has one at least"));
+        }
         Ok(tiff)
     }
 
     pub fn fault(&self, what: impl std::fmt::Display) -> Error {
-        Error::format(self.path, format!("TIFF: {what}"))
+        Error::format(&self.path, format!("TIFF: {what}"))
     }
 
     /// A whole number of 1 to 8 bytes in the file's order.
@@ -152,64 +206,48 @@ impl<'a> Tiff<'a> {
         if self.big_endian { bytes.iter().fold(0, step) } else { bytes.iter().rev().fold(0, step) }
     }
 
-    /// Bytes that the file must have.
-    fn bytes(&mut self, at: u64, n: u64, what: &str) -> Result<Vec<u8>> {
-        if at.checked_add(n).is_none_or(|end| end > self.len) {
-            let len = self.len;
-            return Err(self.fault(format!("{what}: {n} bytes at byte {at}, the file has {len}")));
-        }
-        let read = |input: &mut Box<dyn Stream + 'a>| {
-            let mut out = vec![0; n as usize];
-            input.seek(SeekFrom::Start(at))?;
-            input.read_exact(&mut out)?;
-            Ok(out)
-        };
-        read(&mut self.input).map_err(|e| Error::io(self.path, "read", e))
+    fn at(&self, at: u64, size: u64) -> Option<u64> {
+        let from = usize::try_from(at).ok()?;
+        Some(self.number(self.all.get(from..from.checked_add(size as usize)?)?))
     }
 
-    /// All pages of the chain.
-    pub fn pages(&mut self) -> Result<Vec<Page>> {
-        let (mut out, mut seen) = (Vec::new(), std::collections::HashSet::new());
-        let mut at = self.first;
-        while at != 0 {
-            if !seen.insert(at) {
-                return Err(self.fault(format!("byte {at}: the chain of pages comes back to this one")));
-            }
-            let (count_size, entry_size, value_at, value_size) = if self.wide { (8, 20, 12, 8) } else { (2, 12, 8, 4) };
-            let head = self.bytes(at, count_size, "the tags of a page")?;
-            let n = self.number(&head);
-            if n.checked_mul(entry_size).is_none_or(|size| size > self.len) {
-                return Err(self.fault(format!("byte {at}: a page of {n} tags, more than the file has bytes for")));
-            }
-            let table = self.bytes(at + count_size, n * entry_size + value_size, "the tags of a page")?;
-            let mut entries = Vec::with_capacity(n as usize);
-            for (i, entry) in table.chunks_exact(entry_size as usize).take(n as usize).enumerate() {
-                let (kind, count) = (self.number(&entry[2..4]) as u16, self.number(&entry[4..value_at]));
-                let size = kind_size(kind).saturating_mul(count);
-                let inline = at + count_size + i as u64 * entry_size + value_at as u64;
-                let at = if size <= value_size { inline } else { self.number(&entry[value_at..]) };
-                entries.push(Entry { tag: self.number(&entry[..2]) as u16, kind, count, at });
-            }
-            at = self.number(&table[(n * entry_size) as usize..]);
-            out.push(Page { index: out.len(), entries });
+    /// The page at a place, and where the next one is.
+    fn page(&self, at: u64, wide: bool) -> Option<(Page, u64)> {
+        let (head, step, word) = if wide { (8, 20, 8) } else { (2, 12, 4) };
+        let n = self.at(at, head)?;
+        let end = at.checked_add(head)?.checked_add(n.checked_mul(step)?)?;
+        // A last directory may lack the place of the next.
+        let next = match self.at(end, word) {
+            Some(next) => next,
+            None if end <= self.all.len() as u64 => 0,
+            None => return None,
+        };
+        let mut entries = BTreeMap::new();
+        for i in 0..n {
+            let at = at + head + i * step;
+            let (tag, kind) = (self.at(at, 2)? as u16, self.at(at + 2, 2)? as u16);
+            let (count, inline) = (self.at(at + 4, word)?, at + 4 + word);
+            let fits = kind_size(kind).checked_mul(count).is_some_and(|n| n <= word);
+            let at = if fits { inline } else { self.at(inline, word)? };
+            // Of a tag that stands there twice the first counts, as libtiff has it.
+            entries.entry(tag).or_insert(Entry { kind, count, at });
         }
-        if out.is_empty() {
-            return Err(self.fault("no page; a picture has one at least"));
-        }
-        Ok(out)
+        Some((Page { index: self.pages.len(), at, entries }, next))
     }
 
-    fn raw(&mut self, page: &Page, tag: u16) -> Result<Option<(u16, Vec<u8>)>> {
-        let Some(entry) = page.entries.iter().find(|e| e.tag == tag) else { return Ok(None) };
-        let size = kind_size(entry.kind).checked_mul(entry.count).filter(|_| kind_size(entry.kind) > 0);
-        let Some(size) = size else {
-            return Err(self.fault(format!("tag {tag}: {} values of type {}", entry.count, entry.kind)));
-        };
-        Ok(Some((entry.kind, self.bytes(entry.at, size, &format!("tag {tag}"))?)))
+    fn raw(&self, page: &Page, tag: u16) -> Result<Option<(u16, &'a [u8])>> {
+        let Some(&Entry { kind, count, at }) = page.entries.get(&tag) else { return Ok(None) };
+        let size = kind_size(kind).checked_mul(count).filter(|_| kind_size(kind) > 0);
+        let size = size.ok_or_else(|| self.fault(format!("tag {tag}: {count} values of type {kind}")))?;
+        let range = at.checked_add(size).filter(|&end| end <= self.all.len() as u64);
+        let end = range.ok_or_else(|| {
+            self.fault(format!("tag {tag}: {size} bytes at byte {at}, the file has {}", self.all.len()))
+        })?;
+        Ok(Some((kind, &self.all[at as usize..end as usize])))
     }
 
     /// Values of a tag as numbers; None where the page has no such tag.
-    pub fn numbers(&mut self, page: &Page, tag: u16) -> Result<Option<Vec<f64>>> {
+    pub fn numbers(&self, page: &Page, tag: u16) -> Result<Option<Vec<f64>>> {
         let Some((kind, bytes)) = self.raw(page, tag)? else { return Ok(None) };
         let value = |b: &[u8]| {
             let n = self.number(b);
@@ -229,70 +267,89 @@ impl<'a> Tiff<'a> {
     }
 
     /// Values of a tag as whole numbers.
-    pub fn integers(&mut self, page: &Page, tag: u16) -> Result<Option<Vec<u64>>> {
+    pub fn integers(&self, page: &Page, tag: u16) -> Result<Option<Vec<u64>>> {
         let Some((kind, bytes)) = self.raw(page, tag)? else { return Ok(None) };
-        if !matches!(kind, 1 | 3 | 4 | 13 | 16 | 18) {
+        if !is_integer(kind) {
             return Err(self.fault(format!("tag {tag}: values of type {kind}; whole numbers were expected")));
         }
         Ok(Some(bytes.chunks_exact(kind_size(kind) as usize).map(|b| self.number(b)).collect()))
     }
 
-    /// The first value of a tag.
-    pub fn integer(&mut self, page: &Page, tag: u16) -> Result<Option<u64>> {
-        Ok(self.integers(page, tag)?.and_then(|v| v.first().copied()))
+    /// The first value of a tag; of long lists no more is read.
+    pub fn integer(&self, page: &Page, tag: u16) -> Result<Option<u64>> {
+        let Some((kind, bytes)) = self.raw(page, tag)? else { return Ok(None) };
+        if !is_integer(kind) {
+            return Err(self.fault(format!("tag {tag}: a value of type {kind}; a whole number was expected")));
+        }
+        Ok(bytes.chunks_exact(kind_size(kind) as usize).next().map(|b| self.number(b)))
+    }
+
+    /// The first value of a tag that says more of an image than how to read it: one that is damaged says nothing.
+    pub fn hint(&self, page: &Page, tag: u16) -> Option<u64> {
+        self.integer(page, tag).ok().flatten()
     }
 
     /// Bytes of a tag's values, in the file's order.
-    pub fn bytes_of(&mut self, page: &Page, tag: u16) -> Result<Option<Vec<u8>>> {
+    pub fn bytes_of(&self, page: &Page, tag: u16) -> Result<Option<&'a [u8]>> {
         Ok(self.raw(page, tag)?.map(|(_, bytes)| bytes))
     }
 
     /// Text of a tag, up to its first byte 0.
-    pub fn text(&mut self, page: &Page, tag: u16) -> Result<Option<String>> {
+    pub fn text(&self, page: &Page, tag: u16) -> Result<Option<String>> {
         let raw = self.raw(page, tag)?;
         Ok(raw.map(|(_, b)| String::from_utf8_lossy(b.split(|&b| b == 0).next().unwrap_or_default()).into_owned()))
     }
 
+    /// Whether a page is a smaller copy of another, or a mask.
+    pub fn is_extra(&self, page: &Page) -> bool {
+        self.hint(page, tags::NEW_SUBFILE_TYPE).unwrap_or(0) & 0b101 != 0
+            || self.hint(page, tags::SUBFILE_TYPE) == Some(2)
+    }
+
     /// How a page's image is laid out, its claims held against the file.
-    pub fn image(&mut self, page: &Page) -> Result<Image> {
-        let side = |tiff: &mut Self, tag: u16, what: &str| {
-            let n = tiff.integer(page, tag)?.and_then(|n| u32::try_from(n).ok()).filter(|&n| n > 0);
-            n.ok_or_else(|| tiff.fault(format!("tag {tag}: {what} is missing, 0, or more than 32 bits")))
+    pub fn image(&self, page: &Page) -> Result<Image> {
+        let fault = |what: String| self.fault(format!("page {} at byte {}: {what}", page.index, page.at));
+        let side = |tag: u16, what: &str| {
+            let n = self.integer(page, tag)?.and_then(|n| u32::try_from(n).ok()).filter(|&n| n > 0);
+            n.ok_or_else(|| fault(format!("tag {tag}: {what} is missing, 0, or more than 32 bits")))
         };
-        let (width, height) = (side(self, tags::WIDTH, "the width")?, side(self, tags::HEIGHT, "the height")?);
+        let (width, height) = (side(tags::WIDTH, "the width")?, side(tags::HEIGHT, "the height")?);
+        if let Some(n) = self.integer(page, tags::IMAGE_DEPTH)?.filter(|&n| n > 1) {
+            return Err(fault(format!("tag 32997: {n} slices in one page; save the volume with a page per slice")));
+        }
         let samples = self.integer(page, tags::SAMPLES)?.unwrap_or(1);
-        let same = |tiff: &mut Self, tag: u16, default: u64| {
-            let values = tiff.integers(page, tag)?.filter(|v| !v.is_empty()).unwrap_or_else(|| vec![default]);
+        let same = |tag: u16, default: u64| {
+            let values = self.integers(page, tag)?.filter(|v| !v.is_empty()).unwrap_or_else(|| vec![default]);
             match values.iter().all(|v| *v == values[0]) {
                 true => Ok(values[0]),
-                false => Err(tiff.fault(format!("tag {tag}: samples of unlike kinds ({values:?}) are not read"))),
+                false => Err(fault(format!("tag {tag}: samples of unlike kinds ({values:?}) are not read"))),
             }
         };
-        let (bits, format) = (same(self, tags::BITS, 1)?, same(self, tags::SAMPLE_FORMAT, 1)?);
+        let (bits, format) = (same(tags::BITS, 1)?, same(tags::SAMPLE_FORMAT, 1)?);
         let sample = match format {
             // 4: "undefined", which libtiff reads as whole numbers.
             1 | 4 => Sample::Unsigned,
             2 => Sample::Signed,
             3 => Sample::Float,
-            5 | 6 => return Err(self.fault("tag 339: complex values; write their magnitude as one band of f32")),
-            n => return Err(self.fault(format!("tag 339: sample format {n}; 1 to 3 are read"))),
+            5 | 6 => return Err(fault("tag 339: complex values; write their magnitude as one band of f32".to_owned())),
+            n => return Err(fault(format!("tag 339: sample format {n}; 1 to 3 are read"))),
         };
         let sound = match sample {
-            Sample::Float => matches!(bits, 16 | 32 | 64),
-            _ => (1..=32).contains(&bits) || bits == 64,
+            Sample::Float => matches!(bits, 16 | 24 | 32 | 64),
+            // Of 24 bits GDAL turns the bytes of such files about, others do not.
+            _ => (1..=32).contains(&bits) && !(bits == 24 && self.big_endian) || bits == 64,
         };
         if !sound || !(1..=65_535).contains(&samples) {
             let what = format!("{samples} samples per pixel, each of {bits} bits ({sample:?})");
-            return Err(
-                self.fault(format!("{what}; whole numbers of 1 to 32 or 64 bits and floats of 16, 32, 64 are read"))
-            );
+            let read =
+                "whole numbers of 1 to 32 (24 in little-endian files alone) or 64 bits and floats of 16, 24, 32, 64";
+            return Err(fault(format!("{what}; {read} are read")));
         }
         let planar = self.integer(page, tags::PLANAR)?.unwrap_or(1) == 2 && samples > 1;
         let tiled = page.has(tags::TILE_OFFSETS);
         let (chunk, offsets, counts) = match tiled {
             true => {
-                let chunk =
-                    [side(self, tags::TILE_WIDTH, "a tile's width")?, side(self, tags::TILE_HEIGHT, "its height")?];
+                let chunk = [side(tags::TILE_WIDTH, "a tile's width")?, side(tags::TILE_HEIGHT, "its height")?];
                 (chunk, tags::TILE_OFFSETS, tags::TILE_COUNTS)
             }
             false => {
@@ -300,18 +357,23 @@ impl<'a> Tiff<'a> {
                 ([width, rows as u32], tags::STRIP_OFFSETS, tags::STRIP_COUNTS)
             }
         };
+        let number = self.integer(page, tags::COMPRESSION)?.unwrap_or(1);
+        let compression = Compression::of(number).map_err(|name| {
+            let what = format!("tag 259: compression {number} ({name}) is not read");
+            fault(format!("{what}; rewrite the file with deflate, LZW or Zstandard"))
+        })?;
         let mut image = Image {
-            page: page.index,
             width,
             height,
             samples: samples as u32,
             bits: bits as u32,
             sample,
             photometric: self.integer(page, tags::PHOTOMETRIC)?.unwrap_or(1),
-            compression: self.integer(page, tags::COMPRESSION)?.unwrap_or(1),
+            compression,
             predictor: self.integer(page, tags::PREDICTOR)?.unwrap_or(1),
             planar,
             reversed_bits: self.integer(page, tags::FILL_ORDER)?.unwrap_or(1) == 2,
+            jpeg_tables: self.bytes_of(page, tags::JPEG_TABLES)?.map(<[u8]>::to_vec),
             lerc: self.integers(page, tags::LERC_PARAMETERS)?.and_then(|v| v.get(1).copied()).unwrap_or(0),
             extra: self.integers(page, tags::EXTRA_SAMPLES)?.unwrap_or_default(),
             chunk,
@@ -321,174 +383,213 @@ impl<'a> Tiff<'a> {
             offsets: self.integers(page, offsets)?.unwrap_or_default(),
             counts: self.integers(page, counts)?.unwrap_or_default(),
         };
+        self.check_form(page, &image).map_err(fault)?;
         let chunks = u64::from(image.across) * u64::from(image.down) * if planar { samples } else { 1 };
-        if image.counts.is_empty() && image.compression == 1 && image.offsets.len() as u64 == chunks {
+        if image.counts.is_empty() && compression == Compression::None && image.offsets.len() as u64 == chunks {
             // Needed by the standard, left away by some; without compression the size goes without saying.
             image.counts = (0..chunks).map(|i| image.chunk_size(i as u32)).collect();
         }
         let (n, m) = (image.offsets.len() as u64, image.counts.len() as u64);
         if n < chunks || m < chunks {
-            return Err(
-                self.fault(format!("{n} offsets and {m} byte counts of {chunks} strips or tiles (tag {offsets})"))
-            );
-        }
-        if let Compression::Unknown(name) = Compression::of(image.compression) {
-            let what = format!("tag 259: compression {} ({name}) is not read", image.compression);
-            return Err(self.fault(format!("{what}; rewrite the file with deflate, LZW or Zstandard")));
+            return Err(fault(format!("{n} offsets and {m} byte counts of {chunks} strips or tiles (tag {offsets})")));
         }
         let sparse = image.counts.iter().filter(|&&n| n == 0).count() as u64;
         let size = u64::from(width) as f64 * f64::from(height) * (samples * bits) as f64 / 8.0;
-        let room = self.len as f64 * Compression::of(image.compression).inflation()
+        let room = self.all.len() as f64 * compression.inflation()
             + (sparse * SPARSE_CHUNK) as f64 * (samples * bits) as f64 / 8.0;
         if size > room {
-            let len = self.len;
-            return Err(
-                self.fault(format!("{len} bytes cannot hold the {width} × {height} pixels that the header claims"))
-            );
+            let len = self.all.len();
+            return Err(fault(format!("{len} bytes cannot hold the {width} × {height} pixels that the header claims")));
         }
         Ok(image)
     }
 
-    /// Bytes of a chunk, unpacked: [`Image::row_bytes`] a row, samples in this machine's order. None where the file has no bytes
-    /// for it, which stands for "nothing was written here".
-    pub fn chunk(&mut self, image: &Image, index: u32) -> Result<Option<Vec<u8>>> {
+    /// Refuses what cannot be read, by its name.
+    fn check_form(&self, page: &Page, image: &Image) -> Result<(), String> {
+        let (bits, sample) = (image.bits, image.sample);
+        match image.compression {
+            Compression::Group3 if self.hint(page, tags::T4_OPTIONS).unwrap_or(0) & 1 != 0 => {
+                return Err(
+                    "CCITT Group 3 in two dimensions is not read; rewrite the file with Group 4 or deflate".to_owned()
+                );
+            }
+            Compression::Group3 | Compression::Group4 | Compression::Huffman if (bits, image.samples) != (1, 1) => {
+                return Err(format!("CCITT fax of {bits} bits × {}; expected 1 bit per pixel", image.samples));
+            }
+            Compression::Jpeg if bits != 8 || sample != Sample::Unsigned => {
+                return Err(format!("JPEG of {bits} bits ({sample:?}); rewrite the file with deflate"));
+            }
+            _ => {}
+        }
+        let predicted = match image.predictor {
+            _ if !image.compression.predicts() => true,
+            1 => true,
+            2 => matches!(bits, 8 | 16 | 32 | 64),
+            3 => sample == Sample::Float,
+            _ => false,
+        };
+        if !predicted {
+            let what = format!("tag 317: predictor {} of {bits}-bit samples ({sample:?}) is not read", image.predictor);
+            return Err(format!("{what}; rewrite the file without"));
+        }
+        Ok(())
+    }
+
+    /// `len` bytes from `at` on.
+    fn read(&self, at: u64, len: u64, what: &str) -> Result<Cow<'a, [u8]>> {
+        let end = at.checked_add(len).filter(|&end| end <= self.all.len() as u64);
+        let end = end
+            .ok_or_else(|| self.fault(format!("{what}: {len} bytes at byte {at}, the file has {}", self.all.len())))?;
+        let Some(file) = &self.file else { return Ok(Cow::Borrowed(&self.all[at as usize..end as usize])) };
+        let mut bytes = vec![0; len as usize];
+        #[cfg(not(target_arch = "wasm32"))]
+        read_at(file, &mut bytes, at).map_err(|e| Error::io(&self.path, "read", e))?;
+        #[cfg(target_arch = "wasm32")]
+        let _ = (file, &mut bytes, read_at);
+        Ok(Cow::Owned(bytes))
+    }
+
+    /// Bytes of a chunk, unpacked: [`Image::row_bytes`] per row; samples of 8, 16, 32 and 64 bits in this machine's order, all
+    /// others from the most significant bit on. None where the file has no bytes for it, which stands for "nothing was written
+    /// here".
+    pub fn chunk(&self, image: &Image, index: u32) -> Result<Option<Vec<u8>>> {
         let (at, count) = (image.offsets[index as usize], image.counts[index as usize]);
         if count == 0 {
             return Ok(None);
         }
         let need = image.chunk_size(index);
         let name = format!("{} {index}", if image.tiled { "tile" } else { "strip" });
-        let compression = Compression::of(image.compression);
-        let mut packed = self.bytes(at, count, &name)?;
-        if image.reversed_bits && compression != Compression::Fax {
-            packed.iter_mut().for_each(|b| *b = b.reverse_bits());
+        let compression = image.compression;
+        // What follows the samples of a chunk is not looked at.
+        let count = if compression == Compression::None { count.min(need) } else { count };
+        let mut packed = self.read(at, count, &name)?;
+        if image.reversed_bits && compression != Compression::Jpeg {
+            packed.to_mut().iter_mut().for_each(|b| *b = b.reverse_bits());
         }
         let mut out = Vec::new();
-        let mut unpack = |from: &mut dyn Read| from.take(need).read_to_end(&mut out).map(|_| ());
         let done = match compression {
             Compression::None => {
-                packed.truncate(need as usize);
-                out = packed;
+                out = packed.into_owned();
                 Ok(())
             }
-            Compression::Lzw if packed.starts_with(&[0, 1]) => {
-                return Err(
-                    self.fault(format!("{name}: LZW of before TIFF 6.0; rewrite the file with any other compression"))
-                );
-            }
-            Compression::Lzw => {
-                let mut decoder = weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
-                lzw(&mut decoder, &packed, need, &mut out)
-            }
-            Compression::Deflate => unpack(&mut flate2::read::ZlibDecoder::new(&packed[..])),
-            Compression::PackBits => {
-                pack_bits(&packed, need, &mut out);
-                Ok(())
-            }
-            Compression::Zstd => zstd(&packed).and_then(|mut from| unpack(&mut from)),
-            Compression::Jpeg | Compression::Fax => {
-                out = self.by_crate(image, index)?;
-                Ok(())
-            }
-            Compression::Lerc => {
-                let blob = match image.lerc {
-                    0 => Ok(packed),
-                    // What LERC leaves as it is is as long as the chunk, beside a head.
-                    1 => unpacked(&mut flate2::read::ZlibDecoder::new(&packed[..]), need),
-                    2 => zstd(&packed).and_then(|mut from| unpacked(&mut from, need)),
-                    n => return Err(self.fault(format!("{name}: LERC packed by method {n}; 0 to 2 are read"))),
-                };
-                out = blob
-                    .map_err(|e| e.to_string())
-                    .and_then(|blob| lerc(image, &blob))
-                    .map_err(|e| self.fault(format!("{name} at byte {at}: LERC: {e}")))?;
-                Ok(())
-            }
-            Compression::Unknown(_) => unreachable!("refused with the image"),
+            _ => self.unpack(image, &packed, need, &mut out),
         };
         // A stream cut short still gives what came before; too little of it is the fault that counts.
         if (out.len() as u64) < need {
-            let why = done.err().map(|e| format!(" ({e})")).unwrap_or_default();
+            let why = done.err().map(|e| format!(" ({}: {e})", compression.name())).unwrap_or_default();
             return Err(self.fault(format!("{name} at byte {at}: {} bytes of {need}{why}", out.len())));
         }
-        self.predict(image, &mut out)?;
+        out.truncate(need as usize);
+        self.predict(image, &mut out);
         Ok(Some(out))
     }
 
-    /// Undoes the predictor, and turns samples into this machine's byte order.
-    fn predict(&self, image: &Image, bytes: &mut [u8]) -> Result<()> {
-        let size = (image.bits / 8) as usize;
-        let stride = image.samples_per_chunk() as usize;
-        let whole = matches!(image.bits, 8 | 16 | 32 | 64);
-        let swap = self.big_endian != cfg!(target_endian = "big");
-        let by_crate =
-            matches!(Compression::of(image.compression), Compression::Jpeg | Compression::Fax | Compression::Lerc);
-        match image.predictor {
-            _ if by_crate => {}
-            1 if swap && whole && size > 1 => bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse),
-            1 => {}
-            2 if whole => {
-                if swap && size > 1 {
-                    bytes.chunks_exact_mut(size).for_each(<[u8]>::reverse);
-                }
-                for row in bytes.chunks_mut(image.row_bytes()) {
-                    sum(row, size, stride);
-                }
+    fn unpack(&self, image: &Image, packed: &[u8], need: u64, out: &mut Vec<u8>) -> Result<(), String> {
+        let text = |e: std::io::Error| e.to_string();
+        let mut all = |from: &mut dyn Read| from.take(need).read_to_end(out).map(|_| ()).map_err(text);
+        match image.compression {
+            Compression::None => out.extend_from_slice(packed),
+            Compression::Lzw if packed.starts_with(&[0, 1]) => {
+                return Err("LZW of before TIFF 6.0; rewrite the file with any other compression".to_owned());
             }
-            3 if image.sample == Sample::Float => {
-                for row in bytes.chunks_mut(image.row_bytes()) {
-                    for i in stride..row.len() {
-                        row[i] = row[i].wrapping_add(row[i - stride]);
-                    }
-                    // The most significant bytes of all samples first, whatever the file's order.
-                    let (n, planes) = (row.len() / size, row.to_vec());
-                    for (i, sample) in row.chunks_exact_mut(size).enumerate() {
-                        for (k, byte) in sample.iter_mut().enumerate() {
-                            let k = if cfg!(target_endian = "big") { k } else { size - 1 - k };
-                            *byte = planes[k * n + i];
-                        }
-                    }
-                }
+            Compression::Lzw => return lzw(packed, need, out).map_err(text),
+            Compression::Deflate => return all(&mut flate2::read::ZlibDecoder::new(packed)),
+            Compression::Zstd => return all(&mut zstd(packed).map_err(text)?),
+            Compression::PackBits => pack_bits(packed, need, out),
+            Compression::Jpeg => {
+                *out = guarded(&self.path, "JPEG", || Ok(jpeg(image, packed, need))).map_err(|e| e.to_string())??
             }
-            n => {
-                let (bits, sample) = (image.bits, image.sample);
-                return Err(
-                    self.fault(format!("tag 317: predictor {n} of {bits}-bit samples ({sample:?}) is not read"))
-                );
+            Compression::Group4 | Compression::Group3 | Compression::Huffman => {
+                return guarded(&self.path, "fax", || Ok(fax(image, packed, need, out))).map_err(|e| e.to_string())?;
+            }
+            Compression::Lerc => {
+                let blob = match image.lerc {
+                    0 => Ok(Cow::Borrowed(packed)),
+                    // What LERC leaves as it is is as long as the chunk, beside a head.
+                    1 => unpacked(&mut flate2::read::ZlibDecoder::new(packed), need).map(Cow::Owned),
+                    2 => zstd(packed).and_then(|mut from| unpacked(&mut from, need)).map(Cow::Owned),
+                    n => return Err(format!("packed by method {n}; 0 to 2 are read")),
+                };
+                let rows = (need / (image.row_bytes() as u64).max(1)) as u32;
+                *out = lerc(image, rows, &blob.map_err(text)?)?;
             }
         }
         Ok(())
     }
 
-    /// A chunk of JPEG or fax, which the `tiff` crate unpacks.
-    fn by_crate(&mut self, image: &Image, index: u32) -> Result<Vec<u8>> {
-        use tiff::decoder::{Decoder, DecodingResult, Limits};
-        if image.samples != 1 || !matches!(image.bits, 1 | 8) {
-            let (samples, bits) = (image.samples, image.bits);
-            return Err(
-                self.fault(format!("JPEG or fax of {samples} samples of {bits} bits; rewrite the file with deflate"))
-            );
-        }
-        self.input.rewind().map_err(|e| Error::io(self.path, "read", e))?;
-        let fail = |e: tiff::TiffError| Error::format(self.path, format!("TIFF: {e}"));
-        let mut limits = Limits::default();
-        limits.ifd_value_size = self.len as usize;
-        let mut decoder = Decoder::new(&mut self.input).map_err(fail)?.with_limits(limits);
-        decoder.seek_to_image(image.page).map_err(fail)?;
-        let DecodingResult::U8(mut values) = decoder.read_chunk(index).map_err(fail)? else {
-            return Err(Error::format(self.path, "TIFF: JPEG or fax of other than bytes"));
+    /// Undoes the predictor, and turns samples into this machine's byte order.
+    fn predict(&self, image: &Image, bytes: &mut [u8]) {
+        let size = (image.bits / 8) as usize;
+        let stride = image.samples_per_chunk() as usize;
+        let turned = match image.bits {
+            // LERC's values are those of the file's order, as libtiff packs and unpacks them.
+            16 | 32 | 64 => self.big_endian != cfg!(target_endian = "big"),
+            // Floats of 24 bits follow the file's order; whole numbers are packed bits.
+            24 => image.sample == Sample::Float && !self.big_endian,
+            _ => false,
         };
-        if image.photometric == 0 {
-            values.iter_mut().for_each(|v| *v = !*v);
+        if image.compression.predicts() && image.predictor == 3 {
+            for row in bytes.chunks_mut(image.row_bytes()) {
+                for i in stride..row.len() {
+                    row[i] = row[i].wrapping_add(row[i - stride]);
+                }
+                // The most significant bytes of all samples first, whatever the file's order.
+                let (n, planes) = (row.len() / size, row.to_vec());
+                for (i, sample) in row.chunks_exact_mut(size).enumerate() {
+                    for (k, byte) in sample.iter_mut().enumerate() {
+                        let k = if cfg!(target_endian = "big") || size == 3 { k } else { size - 1 - k };
+                        *byte = planes[k * n + i];
+                    }
+                }
+            }
+            return;
         }
-        // The crate leaves the padding of tiles away.
-        let (wide, _) = decoder.chunk_data_dimensions(index);
-        let (from, to) = ((wide as usize * image.bits as usize).div_ceil(8), image.row_bytes());
-        let mut out = vec![0; image.chunk_size(index) as usize];
-        for (row, values) in out.chunks_mut(to).zip(values.chunks(from)) {
-            row[..values.len()].copy_from_slice(values);
+        if turned {
+            // What LERC has no value for is NaN before and after: libtiff loses values that are NaN with their bytes turned about.
+            let none = |v: &[u8]| match (image.compression, image.sample, size) {
+                (Compression::Lerc, Sample::Float, 4) => f32::from_ne_bytes([v[0], v[1], v[2], v[3]]).is_nan(),
+                (Compression::Lerc, Sample::Float, 8) => v.try_into().is_ok_and(|v| f64::from_ne_bytes(v).is_nan()),
+                _ => false,
+            };
+            bytes.chunks_exact_mut(size).filter(|v| !none(v)).for_each(<[u8]>::reverse);
         }
-        Ok(out)
+        if image.compression.predicts() && image.predictor == 2 {
+            for row in bytes.chunks_mut(image.row_bytes()) {
+                sum(row, size, stride);
+            }
+        }
+    }
+
+    /// Calls `each` with sample `band` of band after band of rows, as values of [`Image::dtype`] in this machine's byte order;
+    /// 0 where nothing was written.
+    pub fn bands(&self, image: &Image, band: u32, mut each: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        let size = image.dtype().size();
+        let row = u64::from(image.width) * size;
+        let high = u64::from(image.chunk[1].min(image.height));
+        let fits = |n: u64| n.checked_mul(high).is_some_and(|n| n <= BAND_LIMIT);
+        if !fits(row) || !fits(image.row_bytes() as u64) {
+            let what = format!("{}: strips or tiles of {} × {high} pixels", self.path.display(), image.chunk[0]);
+            return Err(Error::Limit(format!("{what}; at most {BAND_LIMIT} bytes are unpacked at once")));
+        }
+        let mut values = vec![0; (row * high) as usize];
+        for down in 0..image.down {
+            let rows = image.chunk[1].min(image.height - down * image.chunk[1]) as usize;
+            for across in 0..image.across {
+                let chunk = self.chunk(image, image.index(across, down, band))?;
+                let x = across * image.chunk[0];
+                let wide = image.chunk[0].min(image.width - x) as usize;
+                for y in 0..rows {
+                    let from = y * row as usize + x as usize * size as usize;
+                    let to = &mut values[from..][..wide * size as usize];
+                    match &chunk {
+                        Some(chunk) => image.copy(&chunk[y * image.row_bytes()..], band, to),
+                        None => to.fill(0),
+                    }
+                }
+            }
+            each(&values[..row as usize * rows])?;
+        }
+        Ok(())
     }
 }
 
@@ -532,20 +633,108 @@ impl Image {
             (Sample::Signed, 16) => i16::from_ne_bytes(at(row, i)).into(),
             (Sample::Signed, 32) => i32::from_ne_bytes(at(row, i)).into(),
             (Sample::Signed, 64) => i64::from_ne_bytes(at(row, i)) as f64,
-            (Sample::Float, 16) => half(u16::from_ne_bytes(at(row, i))),
+            (Sample::Float, 16) => half(u16::from_ne_bytes(at(row, i))).into(),
             (Sample::Float, 32) => f32::from_ne_bytes(at(row, i)).into(),
-            (Sample::Float, _) => f64::from_ne_bytes(at(row, i)),
-            (_, bits) => {
-                let first = i * bits as usize;
-                let bit = |n: usize| u64::from(row[n / 8] >> (7 - n % 8) & 1);
-                let value = (first..first + bits as usize).fold(0, |v, n| v << 1 | bit(n));
-                match self.sample {
-                    Sample::Signed => ((value << (64 - bits)) as i64 >> (64 - bits)) as f64,
-                    _ => value as f64,
-                }
+            (Sample::Float, 64) => f64::from_ne_bytes(at(row, i)),
+            (Sample::Float, _) => f24(packed(row, i, 24) as u32).into(),
+            (Sample::Unsigned, bits) => packed(row, i, bits) as f64,
+            (Sample::Signed, bits) => signed(packed(row, i, bits), bits) as f64,
+        }
+    }
+
+    /// Type of the values of a band.
+    pub fn dtype(&self) -> Dtype {
+        match (self.sample, self.bits) {
+            _ if self.is_color() => Dtype::U8,
+            (Sample::Float, 64) => Dtype::F64,
+            (Sample::Float, _) => Dtype::F32,
+            (Sample::Unsigned, ..=8) => Dtype::U8,
+            (Sample::Unsigned, ..=16) => Dtype::U16,
+            (Sample::Unsigned, ..=32) => Dtype::U32,
+            (Sample::Unsigned, _) => Dtype::U64,
+            (Sample::Signed, ..=8) => Dtype::I8,
+            (Sample::Signed, ..=16) => Dtype::I16,
+            (Sample::Signed, ..=32) => Dtype::I32,
+            (Sample::Signed, _) => Dtype::I64,
+        }
+    }
+
+    pub fn is_jpeg(&self) -> bool {
+        self.compression == Compression::Jpeg
+    }
+
+    /// Whether a band is the brightness of colours, of 8 bits each.
+    pub fn is_color(&self) -> bool {
+        let rgb = self.photometric == 2 && self.samples >= 3 && self.bits == 8 && self.sample == Sample::Unsigned;
+        !self.planar && (rgb || self.photometric == 6)
+    }
+
+    /// Sample `band` of the pixels of a chunk's row, as many as there is room for.
+    fn copy(&self, row: &[u8], band: u32, to: &mut [u8]) {
+        let samples = self.samples_per_chunk() as usize;
+        if self.is_color() {
+            let pixels = row.chunks_exact(samples).map(|p| luma([p[0], p[1], p[2]]));
+            to.iter_mut().zip(pixels).for_each(|(to, v)| *to = v);
+            return;
+        }
+        let size = self.dtype().size() as usize;
+        if self.bits as usize == 8 * size {
+            let pick = if self.planar { 0 } else { band as usize };
+            if samples == 1 {
+                return to.copy_from_slice(&row[..to.len()]);
+            }
+            let from = row.chunks_exact(size).skip(pick).step_by(samples);
+            return to.chunks_exact_mut(size).zip(from).for_each(|(to, v)| to.copy_from_slice(v));
+        }
+        for (i, to) in to.chunks_exact_mut(size).enumerate() {
+            // Fewer bits than 53: nothing is lost.
+            let v = self.value(row, i, band);
+            match self.dtype() {
+                Dtype::F32 => to.copy_from_slice(&(v as f32).to_ne_bytes()),
+                Dtype::U8 => to.copy_from_slice(&(v as u8).to_ne_bytes()),
+                Dtype::I8 => to.copy_from_slice(&(v as i8).to_ne_bytes()),
+                Dtype::U16 => to.copy_from_slice(&(v as u16).to_ne_bytes()),
+                Dtype::I16 => to.copy_from_slice(&(v as i16).to_ne_bytes()),
+                Dtype::U32 => to.copy_from_slice(&(v as u32).to_ne_bytes()),
+                _ => to.copy_from_slice(&(v as i32).to_ne_bytes()),
             }
         }
     }
+
+    /// Where the values start, if they lie in the file one after the other, as they are handed out but for the order of bytes.
+    pub fn contiguous(&self) -> Option<u64> {
+        let plain = self.compression == Compression::None && self.samples == 1 && !self.is_color();
+        let whole = matches!(self.bits, 8 | 16 | 32 | 64)
+            && !self.reversed_bits
+            && u64::from(self.bits) == 8 * self.dtype().size();
+        let strips = self.chunk[0] == self.width && self.offsets.first() != Some(&0);
+        let full = u64::from(self.width) * u64::from(self.chunk[1]) * u64::from(self.bits / 8);
+        let start = *self.offsets.first()?;
+        let (mut at, mut y) = (start, 0);
+        for &offset in &self.offsets[..self.down as usize] {
+            if offset != at {
+                return None;
+            }
+            at = at.checked_add(full)?;
+            y = self.chunk[1].saturating_add(y);
+        }
+        (plain && whole && strips && y >= self.height && !self.counts.contains(&0)).then_some(start)
+    }
+
+    /// Bytes of the page as `contiguous` has it.
+    pub fn byte_len(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height) * self.dtype().size()
+    }
+}
+
+/// Number `i` of a row of such of so many bits, the most significant first.
+fn packed(row: &[u8], i: usize, bits: u32) -> u64 {
+    let bit = |n: usize| u64::from(row[n / 8] >> (7 - n % 8) & 1);
+    (i * bits as usize..(i + 1) * bits as usize).fold(0, |v, n| v << 1 | bit(n))
+}
+
+fn signed(value: u64, bits: u32) -> i64 {
+    (value << (64 - bits)) as i64 >> (64 - bits)
 }
 
 fn kind_size(kind: u16) -> u64 {
@@ -558,37 +747,68 @@ fn kind_size(kind: u16) -> u64 {
     }
 }
 
+fn is_integer(kind: u16) -> bool {
+    matches!(kind, 1 | 3 | 4 | 6 | 7 | 8 | 9 | 13 | 16 | 17 | 18)
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Compression {
     None,
-    Fax,
+    Huffman,
+    Group3,
+    Group4,
     Lzw,
     Jpeg,
     Deflate,
     PackBits,
     Zstd,
     Lerc,
-    Unknown(&'static str),
 }
 
 impl Compression {
-    fn of(tag: u64) -> Compression {
-        match tag {
+    /// By its number, or the name of one that is not read.
+    fn of(number: u64) -> Result<Compression, &'static str> {
+        Ok(match number {
             1 => Compression::None,
-            2..=4 => Compression::Fax,
+            2 => Compression::Huffman,
+            3 => Compression::Group3,
+            4 => Compression::Group4,
             5 => Compression::Lzw,
             7 => Compression::Jpeg,
             8 | 32_946 => Compression::Deflate,
             32_773 => Compression::PackBits,
-            50_000 => Compression::Zstd,
-            6 => Compression::Unknown("JPEG of before 1995"),
-            34_712 | 33_003 | 33_005 => Compression::Unknown("JPEG 2000"),
             34_887 => Compression::Lerc,
-            34_925 => Compression::Unknown("LZMA"),
-            50_001 => Compression::Unknown("WebP"),
-            50_002 | 52_546 => Compression::Unknown("JPEG XL"),
-            _ => Compression::Unknown("unknown"),
+            34_926 | 50_000 => Compression::Zstd,
+            6 => return Err("JPEG as TIFF 6.0 had it, of before 1995"),
+            32_809 => return Err("ThunderScan"),
+            33_003 | 33_004 | 33_005 | 34_712 => return Err("JPEG 2000"),
+            34_661 => return Err("JBIG"),
+            34_925 => return Err("LZMA"),
+            34_927 | 50_001 => return Err("WebP"),
+            34_933 => return Err("PNG"),
+            34_934 | 50_002 | 52_546 => return Err("JPEG XL"),
+            34_676 | 34_677 => return Err("SGI LogL and LogLuv"),
+            _ => return Err("of a kind that is not known"),
+        })
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Compression::None => "no compression",
+            Compression::Huffman => "CCITT modified Huffman",
+            Compression::Group3 | Compression::Group4 => "CCITT fax",
+            Compression::Lzw => "LZW",
+            Compression::Jpeg => "JPEG",
+            Compression::Deflate => "deflate",
+            Compression::PackBits => "PackBits",
+            Compression::Zstd => "Zstandard",
+            Compression::Lerc => "LERC",
         }
+    }
+
+    /// Whether the predictor's tag counts; beside others, libtiff does not look at it.
+    fn predicts(self) -> bool {
+        matches!(self, Compression::Lzw | Compression::Deflate | Compression::Zstd)
     }
 
     /// Bytes that one byte becomes at most.
@@ -601,7 +821,7 @@ impl Compression {
             // A string of 4,096 from 12 bits.
             Compression::Lzw => 2731.0,
             // A line without change is a bit; a block of one byte is 128 KiB from four.
-            Compression::Fax | Compression::Zstd | Compression::Lerc | Compression::Unknown(_) => 65_536.0,
+            _ => 65_536.0,
         }
     }
 }
@@ -626,7 +846,8 @@ fn sum(row: &mut [u8], size: usize, stride: usize) {
     }
 }
 
-fn lzw(decoder: &mut weezl::decode::Decoder, mut from: &[u8], need: u64, out: &mut Vec<u8>) -> std::io::Result<()> {
+fn lzw(mut from: &[u8], need: u64, out: &mut Vec<u8>) -> std::io::Result<()> {
+    let mut decoder = weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
     let mut buffer = vec![0; 1 << 16];
     while (out.len() as u64) < need {
         let step = decoder.decode_bytes(from, &mut buffer);
@@ -653,18 +874,18 @@ fn bits_of<T>(_: &[T]) -> u32 {
 }
 
 /// The samples of a LERC blob in this machine's order; NaN where its mask says that there are none.
-fn lerc(image: &Image, blob: &[u8]) -> Result<Vec<u8>, String> {
+fn lerc(image: &Image, rows: u32, blob: &[u8]) -> Result<Vec<u8>, String> {
     use lerc::SampleData;
     let info = lerc::decode_info(blob).map_err(|e| e.to_string())?;
     let n = image.samples_per_chunk();
-    let (deep, rows) = (u64::from(info.depth) * u64::from(info.bands.max(1)), image.chunk[1]);
+    let deep = u64::from(info.depth) * u64::from(info.bands.max(1));
     if u64::from(info.width) * u64::from(info.height) * deep > LERC_LIMIT {
         return Err(format!(
             "{} × {} pixels of {deep} values at once; {LERC_LIMIT} values can be held",
             info.width, info.height
         ));
     }
-    if info.width != image.chunk[0] || info.height > rows || deep != u64::from(n) {
+    if info.width != image.chunk[0] || info.height < rows || deep != u64::from(n) {
         let what = format!("{} × {} pixels of {deep} values", info.width, info.height);
         return Err(format!("{what}, where the directory has {} × {rows} of {n}", image.chunk[0]));
     }
@@ -733,14 +954,133 @@ fn zstd(packed: &[u8]) -> std::io::Result<impl Read + '_> {
     ruzstd::decoding::StreamingDecoder::new(packed).map_err(|e| std::io::Error::other(e.to_string()))
 }
 
-/// A number of 16 bits: sign, five bits of exponent, ten of fraction (IEEE 754).
-fn half(bits: u16) -> f64 {
-    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
-    let value = match exponent {
-        0 => fraction * 2f64.powi(-24),
-        31 if fraction == 0.0 => f64::INFINITY,
-        31 => f64::NAN,
-        e => (1024.0 + fraction) * 2f64.powi(e - 25),
+/// Brightness, or the three colours, of a JPEG whose tables may stand in the directory.
+fn jpeg(image: &Image, stored: &[u8], need: u64) -> Result<Vec<u8>, String> {
+    let mut whole = Vec::new();
+    if let Some(tables) = &image.jpeg_tables {
+        // Without its end, and what follows without its start.
+        whole.extend_from_slice(tables.strip_suffix(b"\xff\xd9").unwrap_or(tables));
+        whole.extend_from_slice(stored.strip_prefix(b"\xff\xd8").unwrap_or(stored));
+    } else {
+        whole.extend_from_slice(stored);
+    }
+    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(whole), image::ImageFormat::Jpeg);
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(need.saturating_mul(16).saturating_add(1 << 20));
+    reader.limits(limits);
+    let picture = reader.decode().map_err(|e| e.to_string())?;
+    if picture.width() != image.chunk[0] {
+        return Err(format!("{} pixels wide, the strip or tile is {}", picture.width(), image.chunk[0]));
+    }
+    Ok(match image.photometric {
+        6 if image.samples == 3 && !image.planar => picture.into_rgb8().into_raw(),
+        _ => match picture {
+            image::DynamicImage::ImageLuma8(v) if image.samples_per_chunk() == 1 => v.into_raw(),
+            _ => return Err("colours where brightness was expected; rewrite the file with deflate".to_owned()),
+        },
+    })
+}
+
+/// Rows of one bit per pixel, black being 1 as libtiff has it.
+fn fax(image: &Image, packed: &[u8], need: u64, out: &mut Vec<u8>) -> Result<(), String> {
+    let wide = image.chunk[0];
+    let width = u16::try_from(wide).map_err(|_| format!("{wide} pixels wide, at most 65535"))?;
+    let bytes = usize::from(width).div_ceil(8);
+    let rows = need / bytes as u64;
+    let mut n = 0;
+    // Runs of white and black in turn.
+    let mut line = |ends: &[u16]| {
+        if n == rows {
+            return;
+        }
+        n += 1;
+        let at = out.len();
+        out.resize(at + bytes, 0);
+        for run in ends.chunks(2) {
+            let (from, to) = (run[0].min(width), run.get(1).copied().unwrap_or(width).min(width));
+            (from..to).for_each(|x| out[at + usize::from(x) / 8] |= 0x80 >> (x % 8));
+        }
     };
-    if bits >> 15 == 1 { -value } else { value }
+    // Codes are looked up by more bits than the last one may have; and a line of Group 3 is handed out at the mark that follows
+    // it, which the last of a strip need not have.
+    let bits = packed.iter().copied().chain([0, 0, 1]);
+    let done = match image.compression {
+        Compression::Group4 => fax::decoder::decode_g4(bits, width, u16::try_from(rows).ok(), &mut line),
+        Compression::Group3 => fax::decoder::decode_g3(bits, &mut line),
+        _ => fax::ByteReader::new(bits.map(Ok::<u8, std::convert::Infallible>))
+            .ok()
+            .and_then(|reader| (0..rows).try_fold(reader, |reader, _| huffman(reader, width, &mut line)))
+            .map(|_| ()),
+    };
+    done.ok_or_else(|| "the data are damaged".to_owned())
+}
+
+/// A row of modified Huffman codes (TIFF 6.0, section 10), which ends with a byte.
+fn huffman<R: fax::BitReader>(mut reader: R, width: u16, line: &mut impl FnMut(&[u16])) -> Option<R> {
+    let (mut ends, mut at, mut black) = (Vec::new(), 0u16, false);
+    while at < width || ends.is_empty() {
+        loop {
+            let run = match black {
+                true => fax::maps::black::decode(&mut reader)?,
+                false => fax::maps::white::decode(&mut reader)?,
+            };
+            at = at.checked_add(run).filter(|&at| at <= width)?;
+            // Longer ones are followed by what is left.
+            if run < 64 {
+                break;
+            }
+        }
+        ends.push(at);
+        black = !black;
+    }
+    line(&ends);
+    let rest = reader.bits_to_byte_boundary();
+    reader.consume(rest).ok()?;
+    Some(reader)
+}
+
+/// Brightness of a colour, as the height maps have it; of a grey one, its value.
+pub(super) fn luma([r, g, b]: [u8; 3]) -> u8 {
+    ((2126 * u32::from(r) + 7152 * u32::from(g) + 722 * u32::from(b)) / 10_000) as u8
+}
+
+/// A half float (IEEE 754 binary16).
+pub(super) fn half(v: u16) -> f32 {
+    let sign = u32::from(v >> 15) << 31;
+    let (exponent, fraction) = (u32::from(v >> 10 & 31), u32::from(v & 0x3ff));
+    match exponent {
+        0 => f32::from_bits(sign | 0x3f80_0000) * (fraction as f32 / 16_777_216.0),
+        31 => f32::from_bits(sign | 0x7f80_0000 | fraction << 13),
+        e => f32::from_bits(sign | (e + 112) << 23 | fraction << 13),
+    }
+}
+
+/// A float of 24 bits: 1 of sign, 7 of exponent, 16 of fraction (TIFF technical note 3).
+fn f24(v: u32) -> f32 {
+    let sign = v >> 23 << 31;
+    let (exponent, fraction) = (v >> 16 & 127, v & 0xffff);
+    match exponent {
+        0 => f32::from_bits(sign | 0x3f80_0000) * (fraction as f32 * 2f32.powi(-78)),
+        127 => f32::from_bits(sign | 0x7f80_0000 | fraction << 7),
+        e => f32::from_bits(sign | (e + 64) << 23 | fraction << 7),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_floats_are_those_of_ieee_754() {
+        let cases =
+            [(0x3c00, 1.0), (0xc000, -2.0), (0x7bff, 65_504.0), (0x0001, 5.960_464_5e-8), (0x0400, 6.103_515_6e-5)];
+        for (bits, value) in cases {
+            assert_eq!(half(bits), value, "{bits:#x}");
+        }
+        assert!(half(0x7e00).is_nan() && half(0xfc00) == f32::NEG_INFINITY);
+        for (bits, value) in [(0x3f_0000, 1.0), (0xc0_8000, -3.0), (0x00_0001, 3.308_722_5e-24)] {
+            assert_eq!(f24(bits), value, "{bits:#x}");
+        }
+        assert!(f24(0x7f_8000).is_nan() && f24(0xff_0000) == f32::NEG_INFINITY);
+    }
 }

@@ -13,7 +13,8 @@ use serde_json::Value;
 use zarrs::array::{Array, ArrayBytes, ArrayShardedExt, ArraySubset, data_type};
 use zarrs::filesystem::FilesystemStore;
 
-use super::tiff_pages::half;
+use super::place::in_one_unit;
+use super::tiff::half;
 use super::volume::{Data, Stored, Volume};
 use super::{Dtype, ReadOptions, Up, guarded, world_dims};
 use crate::model::about::Kind;
@@ -556,16 +557,9 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
     if let [Some((x, unit)), Some((y, uy)), z] = &steps
         && let (z, uz) = z.as_ref().map_or((*x, unit), |(z, u)| (*z, u))
     {
-        if unit == uy && unit == uz && (iz.is_none() || steps[2].is_some()) {
-            about.voxel = Some([*x, *y, z]);
-            about.unit = match unit.as_str() {
-                "micrometer" | "micrometre" | "micron" | "um" => "µm",
-                "millimeter" | "millimetre" => "mm",
-                "nanometer" | "nanometre" => "nm",
-                "meter" | "metre" | "meters" | "metres" => "m",
-                other => other,
-            }
-            .to_owned();
+        let of = (iz.is_none() || steps[2].is_some()).then(|| in_one_unit([(*x, unit), (*y, uy), (z, uz)])).flatten();
+        if let Some((voxel, unit)) = of {
+            (about.voxel, about.unit) = (Some(voxel), unit);
         } else if iz.is_some() && steps[2].is_some() {
             left_out.push(format!("voxels of {x} {unit} × {y} {uy} × {z} {uz} are drawn as cubes"));
         }

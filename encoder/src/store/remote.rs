@@ -70,6 +70,14 @@ pub(crate) fn scene(url: &Path, _: fn(&Path, &[u8]) -> bool) -> Result<Option<cr
     without(url)
 }
 
+/// A URL as it may be told: without its query, which may be secret.
+pub(crate) fn shown(url: &Path) -> PathBuf {
+    #[cfg(feature = "object-store")]
+    return object::shown(url);
+    #[cfg(not(feature = "object-store"))]
+    url.to_owned()
+}
+
 /// What tells one state of an object from another: its size, time and tag.
 #[cfg(feature = "object-store")]
 pub fn state(url: &Path) -> Result<String> {

@@ -314,7 +314,8 @@ fn touches(list: &mut List) {
         ("the far side across z, an ulp from it", block, [12.3, 10.4, below(8.0)]),
         ("a wall from within", WorldName::Room, [1.0, 7.4, 9.4]),
         ("a corner from within", WorldName::Room, [1.0, 1.0, 1.0]),
-        // Heights on a wall are known to an f32's step, 2e-6 here: nearer, the voxel beside the true one may be shown.
+        // Heights on a wall are known to an f32's step, 2e-6 here: nearer, the voxel above the true one may be shown, as
+        // docs/accuracy.md says.
         ("the opposite corner from within, 1e-4 from it", WorldName::Room, [26.9999, 16.9999, 20.9999]),
     ];
     let turns = [

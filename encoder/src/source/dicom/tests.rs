@@ -145,6 +145,8 @@ fn slices_are_in_order_of_their_places_and_rescaled() {
     assert_slices(&input, &[0, 1, 2, 3], |v| v * 2 - 30 >= 11);
     assert_eq!((about.format.as_str(), about.voxel, about.unit.as_str()), ("DICOM (CT)", Some([0.25, 0.5, 1.5]), "mm"));
     assert!(about.rule.contains("stored · 2 + -30"), "{}", about.rule);
+    let shown = "that low values are shown bright (MONOCHROME1): values are as stored";
+    assert_eq!(about.left_out[0], shown);
     // Against the normal.
     let of = |z: usize| Slice { orientation: "0\\1\\0\\1\\0\\0", ..Slice::at(z as f64, slice(z)) };
     assert_slices(&read(folder(&[of(0), of(1)]).path(), "--iso 11").0, &[1, 0], |v| v >= 11);

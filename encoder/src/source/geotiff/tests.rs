@@ -243,8 +243,46 @@ fn values_are_those_stored_whatever_their_form() {
             expected
         );
     }
+    // Of 24 bits: packed whole numbers, and floats in the file's order.
+    let numbers = MadePage::new([4, 1], 24, 1, vec![0, 0, 0, 0, 0, 1, 0, 0, 7, 0, 0, 12]);
+    assert_eq!(read_heights(&little(std::slice::from_ref(&numbers)), "--height-scale 1"), expected);
+    let big = Form { big_endian: true, wide: false };
+    assert!(refused(&tiff(big, &[numbers]), "").contains("24 in little-endian files alone"));
+    let floats = [0u32, 0x3f_0000, 0x41_c000, 0x42_8000];
+    let page = MadePage::new([4, 1], 24, 3, floats.iter().flat_map(|v| v.to_le_bytes()[..3].to_vec()).collect());
+    assert_eq!(read_heights(&little(&[page]), "--height-scale 1"), expected);
+    let page = MadePage::new([4, 1], 24, 3, floats.iter().flat_map(|v| v.to_be_bytes()[1..].to_vec()).collect());
+    assert_eq!(read_heights(&tiff(big, &[page]), "--height-scale 1"), expected);
     let complex = MadePage::new([1, 1], 64, 6, vec![0; 8]);
     assert!(refused(&little(&[complex]), "").contains("complex values"));
+}
+
+#[test]
+fn fax_is_read_with_and_without_marks() {
+    let bits = |text: &str| -> Vec<u8> {
+        let digits: Vec<u8> = text.bytes().filter(u8::is_ascii_digit).map(|b| b - b'0').collect();
+        digits.chunks(8).map(|byte| byte.iter().enumerate().fold(0, |v, (i, b)| v | b << (7 - i))).collect()
+    };
+    // Rows of 3 white and 5 black pixels, of white ones, and of 1 black and 7 white ones.
+    let (first, second, third) = ("1000 0011", "10011", "00110101 010 1111");
+    let expected = some(&[0, 0, 0, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0]);
+    let by = |compression: u16, strip: Vec<u8>| {
+        let page = MadePage::new([8, 3], 1, 1, strip).with(tags::COMPRESSION, &[compression]);
+        read_heights(&little(&[page]), "--height-scale 1")
+    };
+    let huffman = [bits(first), bits(second), bits(third)].concat();
+    assert_eq!(by(2, huffman.clone()), expected);
+    let mark = "000000000001";
+    assert_eq!(by(3, bits(&format!("{mark}{first}{mark}{second}{mark}{third}"))), expected);
+    assert_eq!(by(3, bits(&format!("{mark}{first}{mark}{second}{mark}{third}{}", mark.repeat(6)))), expected);
+    // Group 4, each row by its runs, the last but for what is like the row above.
+    assert_eq!(by(4, bits(&format!("001 {first} 001 {second} 0000110111 001 00110101 010 1"))), expected);
+    let short = MadePage::new([8, 3], 1, 1, huffman[..2].to_vec()).with(tags::COMPRESSION, &[2]);
+    assert!(refused(&little(&[short]), "").contains("2 bytes of 3"));
+    let flat = MadePage::new([8, 3], 8, 1, huffman).with(tags::COMPRESSION, &[2]);
+    assert!(refused(&little(&[flat]), "").contains("CCITT fax of 8 bits"));
+    let two = MadePage::new([8, 3], 1, 1, vec![0; 9]).with(tags::COMPRESSION, &[3]).with(tags::T4_OPTIONS, &[1]);
+    assert!(refused(&little(&[two]), "").contains("two dimensions"));
 }
 
 #[test]
@@ -269,6 +307,9 @@ fn every_compression_and_predictor_gives_the_same_values() {
         (0..6).map(|i| if i == 0 { row[0] } else { row[i].wrapping_sub(row[i - 1]) }.to_le_bytes()).collect::<Vec<_>>()
     }));
     assert_eq!(by(8, 2, 16, 1, deflated(&differences)), expected);
+    // Beside other compressions the predictor's tag does not count.
+    assert_eq!(by(1, 2, 16, 1, plain.clone()), expected);
+    assert_eq!(by(32_773, 3, 16, 1, pack_bits(&plain)), expected);
     // Floats: the most significant bytes of a row first, then differences of bytes.
     let mut shuffled = Vec::new();
     for row in values.chunks(6) {
@@ -293,6 +334,36 @@ fn every_compression_and_predictor_gives_the_same_values() {
     };
     let whole = blob(lerc::bitmask::BitMask::all_valid(24));
     assert_eq!(by(34_887, 1, 32, 3, whole.clone()), expected);
+    // In a file of the other byte order, libtiff packs values with their bytes turned about.
+    let turned = lerc::Image {
+        width: 6,
+        height: 4,
+        data_type: lerc::DataType::UShort,
+        valid_masks: vec![lerc::bitmask::BitMask::all_valid(24)],
+        data: lerc::SampleData::U16(values.iter().map(|v| v.swap_bytes()).collect()),
+        ..lerc::Image::default()
+    };
+    let turned = lerc::encode(&turned, lerc::Precision::Lossless).unwrap();
+    let page_of = MadePage::new([6, 4], 16, 1, turned).with(tags::COMPRESSION, &[34_887]);
+    let big = Form { big_endian: true, wide: false };
+    assert_eq!(read_heights(&tiff(big, &[page_of]), "--height-scale 1"), expected);
+    // A float that is no number that way is lost: no height, rather than one of 0.
+    let heights = values.iter().map(|&v| f32::from_bits(f32::from(v).to_bits().swap_bytes()));
+    let mut mask = lerc::bitmask::BitMask::all_valid(24);
+    mask.set_invalid(5);
+    let turned = lerc::Image {
+        width: 6,
+        height: 4,
+        data_type: lerc::DataType::Float,
+        valid_masks: vec![mask],
+        data: lerc::SampleData::F32(heights.collect()),
+        ..lerc::Image::default()
+    };
+    let turned = lerc::encode(&turned, lerc::Precision::Lossless).unwrap();
+    let page_of = MadePage::new([6, 4], 32, 3, turned).with(tags::COMPRESSION, &[34_887]);
+    let found = read_heights(&tiff(big, &[page_of]), "--height-scale 1");
+    assert_eq!(found[..5], expected[..5]);
+    assert_eq!((found[5], &found[6..]), (None, &expected[6..]));
     let twice = |method: u16, strip: Vec<u8>| {
         let page = MadePage::new([6, 4], 32, 3, strip).with(tags::COMPRESSION, &[34_887]);
         read_heights(&little(&[page.with(tags::LERC_PARAMETERS, &[4, method])]), "--height-scale 1")
@@ -302,7 +373,7 @@ fn every_compression_and_predictor_gives_the_same_values() {
     let mut holes = lerc::bitmask::BitMask::all_valid(24);
     holes.set_invalid(5);
     assert_eq!(by(34_887, 1, 32, 3, blob(holes))[4..7], [expected[4], None, expected[6]]);
-    for (compression, name) in [(50_001, "WebP"), (34_925, "LZMA"), (4711, "unknown")] {
+    for (compression, name) in [(50_001, "WebP"), (34_925, "LZMA"), (4711, "not known")] {
         let e = refused(&little(&[page(compression)]), "");
         assert!(e.contains(name) && e.contains("deflate"), "{e}");
     }
@@ -461,6 +532,11 @@ fn srtm_and_esri_tiles_make_a_map_too() {
     };
     let (found, about) = folder(&[("a.asc", text(500_000, 30)), ("b.asc", text(500_020, 50))], "").unwrap();
     assert_eq!((found, about.format.as_str()), (vec![Some(3), None, Some(5), None], "2 tiles, ESRI ASCII grid"));
+    // What lies beside and is not read is said.
+    let (_, about) = folder(&[("a.asc", text(500_000, 30)), ("b.asc.gz", vec![0]), ("c.png", vec![0])], "").unwrap();
+    assert_eq!(about.left_out, ["1 packed (.gz) files in the folder", "1 PNG or JPEG files in the folder"]);
+    let e = folder(&[("a.hgt.gz", vec![0]), ("b.hgt.gz", vec![0])], "").err().unwrap().to_string();
+    assert!(e.contains("2 tiles packed by gzip; unpack them first"), "{e}");
     // Both sides of the 180th meridian.
     let samples = |v: i16| bytes_of(vec![v.to_be_bytes(); 9]);
     let (found, about) =

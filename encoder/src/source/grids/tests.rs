@@ -13,6 +13,11 @@ fn esri_grids_are_read_in_all_their_spellings() {
     assert_eq!((about.format.as_str(), about.voxel), ("ESRI ASCII grid", Some([10.0; 3])));
     assert_eq!(about.affine.unwrap()[1], [0.0, 0.0, -10.0, 4_000_020.0]);
     assert!(about.rule.contains("coordinates taken as metres"), "{about}");
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut packed, text).unwrap();
+    let packed = packed.finish().unwrap();
+    assert_eq!(told("a.asc.gz", &packed, "").0, found);
+    assert_eq!(told("a.gz", &packed, "").0, found);
     // Centres, capitals, commas, line ends anywhere, the default for no data.
     let text = b"NCOLS 3\r\nNROWS 2\r\nXLLCENTER 5,0\r\nYLLCENTER 5\r\nDX 10\r\nDY 10\r\n10 20\r\n-9999 40 50,4\r\n60";
     let (found, about) = told("b.txt", text, "");

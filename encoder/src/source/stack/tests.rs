@@ -260,6 +260,12 @@ fn ome_xml_says_which_page_is_which() {
     let said = about(&file(&ome("XYZCT", [3, 2, 1], all)), "");
     assert_eq!((said.voxel, said.unit.as_str(), said.format.as_str()), (Some([0.5, 0.5, 2.0]), "µm", "OME-TIFF"));
     assert_eq!(said.left_out[0], "1 of 2 channels: the first is read");
+    let nanometres =
+        ome("XYZCT", [3, 2, 1], all).replace(r#"Z="2" PhysicalSizeZUnit="µm""#, r#"Z="2000" PhysicalSizeZUnit="nm""#);
+    let said = about(&file(&nanometres), "");
+    assert_eq!((said.voxel, said.unit.as_str()), (Some([0.5, 0.5, 2.0]), "µm"));
+    let pixels = about(&file(&nanometres.replace("\"nm\"", "\"pixel\"")), "");
+    assert!(pixels.voxel.is_none() && pixels.left_out.iter().any(|l| l.contains("2000 pixel are drawn as cubes")));
     let e = error("a.tif", &file(&ome("XYZCT", [9, 1, 1], r#"<TiffData IFD="0" PlaneCount="9"/>"#)), "--format stack");
     assert!(e.contains("a slice is in page 6, the file has 6"), "{e}");
     let e = error("a.tif", &file(&ome("XYZCT", [3, 1, 1], r#"<TiffData FirstZ="2" IFD="0"/>"#)), "--format stack");
@@ -363,13 +369,18 @@ fn samples_of_any_number_of_bits_are_read() {
             let whole = |v: u8| if v > 0 { top } else { top / 2 };
             let values: Vec<u64> = slice(2).into_iter().map(whole).collect();
             let strip = match (bits, big) {
-                (8 | 16 | 24, false) => {
+                (8 | 16, false) => {
                     let size = bits as usize / 8;
                     values.iter().flat_map(|v| v.to_le_bytes()[..size].to_vec()).collect()
                 }
                 _ => packed(bits as usize, &values),
             };
             let dir = Dir::new(bits, strip.clone());
+            if (bits, big) == (24, true) {
+                let e = error("a.tif", &tiff(big, &[dir], &[]), "--format stack --iso 1");
+                assert!(e.contains("24 in little-endian files alone"), "{e}");
+                continue;
+            }
             let input =
                 read("a.tif", &tiff(big, std::slice::from_ref(&dir), &[]), &format!("--format stack --iso {top}"));
             assert_slices(&input, &[2]);
@@ -450,7 +461,7 @@ fn codecs_give_what_was_packed() {
     {
         let dir = Dir::new(8, slice.clone()).with(259, Tag::Short(vec![code]));
         let e = error("a.tif", &tiff(false, &[dir], &[]), "--format stack");
-        assert!(e.contains(name) && e.contains("save it with Deflate"), "{e}");
+        assert!(e.contains(name) && e.contains("rewrite the file with deflate"), "{e}");
     }
 }
 
@@ -546,10 +557,10 @@ fn damaged_stacks_are_plain_errors() {
     let mut bytes = tiff(false, &slices()[..1], &[]);
     let next = 8 + 2 + 12 * 9;
     bytes[next..next + 4].copy_from_slice(&8u32.to_le_bytes());
-    assert!(error("a.tif", &bytes, "--format stack").contains("was there before"));
+    assert!(error("a.tif", &bytes, "--format stack").contains("comes back to this one"));
     let e =
         error("a.tif", &tiff(false, &[Dir::new(8, slice(0)).with(339, Tag::Short(vec![5]))], &[]), "--format stack");
-    assert!(e.contains("complex numbers"), "{e}");
+    assert!(e.contains("complex values"), "{e}");
 }
 
 #[test]

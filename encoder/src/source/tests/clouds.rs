@@ -244,6 +244,28 @@ mod lidar {
     }
 
     #[test]
+    fn laz_that_claims_more_chunks_than_it_can_hold_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("p.laz");
+        let mut builder = las::Builder::from((1, 4));
+        builder.point_format = LasFormat::new(6).unwrap();
+        builder.point_format.is_compressed = true;
+        let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+        town().into_iter().for_each(|p| writer.write_point(p).unwrap());
+        writer.close().unwrap();
+        let file = File(dir, path);
+        let columns = file.read("--voxel 1").0.columns.dims();
+        assert_eq!(columns, [40, 9, 30]);
+        let mut bytes = fs::read(&file.1).unwrap();
+        let word = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        let table = word(&bytes, word(&bytes, 96));
+        assert_eq!(word(&bytes, table + 4), 1);
+        bytes[table + 4..table + 8].copy_from_slice(&[0xff; 4]);
+        fs::write(&file.1, bytes).unwrap();
+        assert!(file.error("--voxel 1").contains(&format!("byte {}: LAS: 4294967295 chunks of points", table + 4)));
+    }
+
+    #[test]
     fn las_points_are_trusted_where_the_header_is_wrong() {
         let right = scan((1, 2), 1, town());
         let (world, told) = right.read("--voxel 1");

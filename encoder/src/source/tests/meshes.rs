@@ -134,6 +134,8 @@ mod stl {
             format!("\n\u{feff}{}", solid(" A", 0.0)).replacen('\n', "", 1),
             solid(" two words, facet and vertex", 0.0),
             solid(" normal", 0.0).replace('\n', " "),
+            // A name that reads as a facet starts.
+            solid(" facet normal vertex of a name", 0.0),
             // Without numbers behind "normal".
             solid("", 0.0).replace("normal 0 0 0", "normal"),
             solid("", 0.0).replace("   vertex", "vertex\t"),
@@ -356,6 +358,8 @@ mod obj {
         assert_eq!(with(""), [[255, 0, 0]]);
         assert_eq!(with("-o 0.5 0 0 "), [[0, 0, 255]]);
         assert_eq!(with("-s 3 1 1 "), [[0, 0, 255]]);
+        fs::write(dir.path().join("a.mtl"), "NEWMTL m\nMAP_KD two.png\n").unwrap();
+        assert_eq!(colors(&told_of(&dir.path().join("a.obj"), "--voxel 1").0), [[255, 0, 0]]);
         assert_eq!(with("-o 4.5 0 0 -clamp on "), [[0, 0, 255]]);
         assert_eq!(with("-o -4.5 0 0 -clamp on "), [[255, 0, 0]]);
     }

@@ -379,6 +379,10 @@ fn nrrd_values_are_read_from_lists_of_files_and_from_text() {
     let list = write("list.nhdr", "data file: LIST\ns01.raw\ns02.raw\ns03.raw\ns04.raw\ns05.raw");
     assert_as_stored(&open(&list, &opts("")).unwrap());
     assert_as_stored(&open(&write("numbers.nhdr", "data file: s%02d.raw 1 5 1"), &opts("")).unwrap());
+    // How many axes each file has may follow.
+    let list = write("axes.nhdr", "data file: LIST 2\ns01.raw\ns02.raw\ns03.raw\ns04.raw\ns05.raw");
+    assert_as_stored(&open(&list, &opts("")).unwrap());
+    assert_as_stored(&open(&write("five.nhdr", "data file: s%02d.raw 1 5 1 2"), &opts("")).unwrap());
     let e = open(&write("few.nhdr", "data file: s%02d.raw 1 4 1"), &opts("")).err().unwrap().to_string();
     assert!(e.contains("4 data files"), "{e}");
     let text: Vec<String> = all.iter().map(u8::to_string).collect();
@@ -425,6 +429,8 @@ fn meta_images_are_read_raw_packed_and_as_text() {
     let file = mha("ElementType = MET_UCHAR\nElementNumberOfChannels = 2", &channels);
     assert_as_stored(&read("a.mha", &file, ""));
     assert_eq!(about("a.mha", &file, "").left_out, ["1 of 2 values a voxel: the first is read"]);
+    let array = mha("ElementType = MET_UCHAR_ARRAY\nElementNumberOfChannels = 2", &channels);
+    assert_as_stored(&read("a.mha", &array, ""));
 
     let placed = mha(
         "ElementType = MET_UCHAR\nTransformMatrix = 1 0 0 0 1 0 0 0 1\nAnatomicalOrientation = RAI\nElementSpacing = 1 1 2",

@@ -178,6 +178,11 @@ fn sides_of_voxels_are_said() {
     let about = read(dir.path(), "--spacing as-is").1;
     assert_eq!((about.voxel, about.unit.as_str()), (Some([0.25, 0.5, 2.0]), "µm"));
     assert_eq!(read(dir.path(), "--up z --spacing as-is").1.voxel, Some([0.25, 2.0, 0.5]));
+    let mut mixed = ome_axes("xyz");
+    mixed[2]["unit"] = json!("nanometer");
+    image(dir.path(), "0.4", mixed, Some(json!([0.25, 0.5, 2000.0])));
+    let about = read(dir.path(), "--spacing as-is").1;
+    assert_eq!((about.voxel, about.unit.as_str()), (Some([0.25, 0.5, 2.0]), "µm"));
 }
 
 #[test]
