@@ -31,6 +31,7 @@ pub mod exposure;
 pub mod features;
 pub mod format;
 pub mod forms;
+pub mod grid;
 pub mod guard;
 pub mod info;
 pub mod input;
