@@ -1,6 +1,6 @@
 //! A volume at other thresholds while a slider moves: worlds made in memory from its values, coarse first.
 //!
-//! A thread of its own holds the values and halves of them ([`planecast_encoder::grid`]). Of what is wanted it makes the finest world that
+//! A thread of its own holds the values and halves of them ([`planecast_encoder::model::grid`]). Of what is wanted it makes the finest world that
 //! takes no longer than [`BUDGET`], as far as the ones before tell; once nothing new has been wanted for [`REST`], finer ones, up to all
 //! voxels.
 
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
-use planecast_encoder::grid::Grid;
+use planecast_encoder::model::grid::Grid;
 use planecast_encoder::source;
 
 use crate::Result;

@@ -4,8 +4,8 @@ use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Stroke, pos2, vec2};
 use glam::DVec3;
 use planecast_encoder::About;
 
-use crate::camera::Camera;
-use crate::path::Pose;
+use crate::film::path::Pose;
+use crate::frame::camera::Camera;
 
 /// Points that a scale bar takes at most.
 const BAR: f64 = 160.0;
@@ -250,7 +250,7 @@ fn words(paint: &Painter, at: Pos2, align: Align2, text: &str) {
 
 #[cfg(test)]
 mod tests {
-    use planecast_encoder::about::Kind;
+    use planecast_encoder::model::about::Kind;
 
     use super::*;
 

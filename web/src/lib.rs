@@ -12,14 +12,17 @@ use std::sync::mpsc::{Receiver, channel};
 
 use glam::DVec3;
 use planecast::World;
-use planecast::frame::Stats;
+use planecast::cpu::exact;
+use planecast::film::path::Pose;
+use planecast::film::tour::{self, View};
+use planecast::frame::picture::Stats;
 use planecast::gpu::present::{ByteOrder, Device, Presenter};
-use planecast::path::Pose;
-use planecast::tour::{self, View};
+use planecast::render::drawer::{Drawer, Drawn, Draws};
 use planecast::view::control::{Control, Ground, Mode};
-use planecast::view::drawer::{Drawer, Drawn, Draws};
-use planecast::{CpuRenderer, Kernel, Options, Outputs, exact};
-use planecast_encoder::{ArrivingFile, Scene, arriving, write};
+use planecast::{CpuRenderer, Kernel, Options, Outputs};
+use planecast_encoder::format::arriving;
+use planecast_encoder::format::write;
+use planecast_encoder::{ArrivingFile, Scene};
 use serde_json::json;
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
@@ -134,6 +137,8 @@ impl Page {
         } else {
             let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
             self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
+            self.control.target = tour::Subject::new(&world.scene).center();
+            self.control.set_mode(Mode::of(world.about.kind));
         }
         self.level = level;
         self.drawer = Some(drawer);
@@ -162,6 +167,7 @@ impl Page {
             "Home" if down => {
                 if let Some(drawer) = &self.drawer {
                     let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
+                    self.control.target = tour::Subject::new(&drawer.world().scene).center();
                     self.control.place(tour::still(&drawer.world().scene, view));
                 }
             }
@@ -177,6 +183,30 @@ impl Page {
 
     pub fn look(&mut self, dx: f64, dy: f64) {
         self.control.look(dx, dy);
+    }
+
+    /// Moves across the picture: what is in its middle follows a finger over so many pixels.
+    pub fn pan(&mut self, dx: f64, dy: f64) {
+        self.control.pan(dx, dy, f64::from(self.size[1]));
+    }
+
+    /// Comes nearer by so many notches of a wheel.
+    pub fn nearer(&mut self, notches: f64) {
+        self.control.nearer(notches);
+    }
+
+    /// Goes to a place, as [`Page::pose`] tells it, in voxels of the file's level 0; false where that is none.
+    pub fn place(&mut self, eye: &[f64], yaw: f64, pitch: f64, roll: f64, mode: &str) -> bool {
+        let sound = eye.len() == 3 && eye.iter().chain([&yaw, &roll]).all(|v| v.is_finite());
+        if !sound || !(-90.0..=90.0).contains(&pitch) {
+            return false;
+        }
+        if let Some(mode) = Mode::ALL.into_iter().find(|m| m.name() == mode) {
+            self.control.set_mode(mode);
+        }
+        let eye = DVec3::from_slice(eye) / f64::from(self.level).exp2();
+        self.control.place(Pose { eye, yaw, pitch, roll, ..self.control.pose });
+        true
     }
 
     pub fn wheel(&mut self, notches: f64) {
@@ -207,7 +237,7 @@ impl Page {
 
     /// One of the presets, by name; false where there is none of it.
     pub fn preset(&mut self, name: &str) -> bool {
-        let preset = planecast::preset::Preset::ALL.into_iter().find(|p| p.name() == name);
+        let preset = planecast::frame::preset::Preset::ALL.into_iter().find(|p| p.name() == name);
         self.options = preset.map_or(self.options, |p| p.options(self.options));
         preset.is_some()
     }

@@ -22,11 +22,12 @@ use super::measure::{Meant, Measured, Paint, Solid};
 use super::place::{self, Along, Oriented, Place};
 use super::relief::{Ramp, Table};
 use super::{Dtype, ReadOptions, Up, world_dims};
-use crate::about::Kind;
-use crate::grid::{Grid, Tints};
-use crate::pieces::Pieces;
-use crate::scratch::{self, File, read_at};
-use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Rgb, Run, exposure};
+use crate::model::about::Kind;
+use crate::model::exposure;
+use crate::model::grid::{Grid, Tints};
+use crate::model::pieces::Pieces;
+use crate::store::scratch::{self, File, read_at};
+use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// A dense volume as a file holds it.
 pub(super) struct Stored<'a> {
@@ -78,7 +79,7 @@ pub(super) enum Data<'a> {
     /// The same of an object elsewhere.
     #[cfg(feature = "object-store")]
     Object {
-        object: Box<crate::remote::Object>,
+        object: Box<crate::store::remote::Object>,
         at: u64,
         len: u64,
     },
@@ -181,7 +182,7 @@ pub(super) fn in_object(
     path: &Path,
     bytes: &[u8],
     format: super::Format,
-    object: crate::remote::Object,
+    object: crate::store::remote::Object,
     opts: &ReadOptions,
 ) -> Result<Option<Volume<'static>>> {
     let stored = match format {
