@@ -142,7 +142,7 @@ pub struct ReadOptions {
     /// Spacing of a volume's voxels: auto (as the file states it), as-is (voxels are cubes), or SX,SY,SZ [default: auto]
     #[arg(long, value_name = "auto|as-is|SX,SY,SZ", value_parser = parse_spacing)]
     pub spacing: Option<Spacing>,
-    /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
+    /// Colour map of a height map (PNG, JPEG or TIFF): laid on by coordinates where both have them, else the nearest pixel is taken
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
     /// Voxels along the longest side of a mesh or a cloud of points [default: 512; of LAS see --voxel], columns along that of a height

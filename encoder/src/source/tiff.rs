@@ -26,6 +26,7 @@ pub(super) mod tags {
     pub const ROWS_PER_STRIP: u16 = 278;
     pub const STRIP_COUNTS: u16 = 279;
     pub const PLANAR: u16 = 284;
+    pub const COLOR_MAP: u16 = 320;
     pub const PREDICTOR: u16 = 317;
     pub const TILE_WIDTH: u16 = 322;
     pub const TILE_HEIGHT: u16 = 323;
