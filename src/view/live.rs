@@ -55,6 +55,8 @@ pub struct Live {
     came: Vec<Instant>,
     /// A world that was wanted is on its way.
     pub waits: bool,
+    /// The values are read, or cannot be held.
+    pub read: bool,
 }
 
 impl Live {
@@ -71,7 +73,7 @@ impl Live {
                 _ => drop(says.send(Said::NoValues)),
             }
         });
-        Live { wanted, said, grid: None, came: Vec::new(), waits: false }
+        Live { wanted, said, grid: None, came: Vec::new(), waits: false, read: false }
     }
 
     /// Wants a world at a threshold; whether there are values to make it of.
@@ -85,8 +87,8 @@ impl Live {
         let mut latest = None;
         while let Ok(said) = self.said.try_recv() {
             match said {
-                Said::Values(grid) => self.grid = Some(grid),
-                Said::NoValues => self.waits = false,
+                Said::Values(grid) => (self.grid, self.read) = (Some(grid), true),
+                Said::NoValues => (self.waits, self.read) = (false, true),
                 Said::Made(made) => {
                     self.came.push(Instant::now());
                     self.waits = made.as_ref().is_ok_and(|made| made.level > 0);

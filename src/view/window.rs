@@ -1176,7 +1176,7 @@ impl App {
             Awaited::Size(size) => self.size == size,
             Awaited::Scale(scale) => self.scale == scale,
             Awaited::Reading => {
-                let live = self.live.as_ref().is_none_or(|live| live.grid.is_some() && !live.waits);
+                let live = self.live.as_ref().is_none_or(|live| live.read && !live.waits);
                 live && self.settles.is_none() && self.opening.is_none()
             }
         };
@@ -1281,7 +1281,7 @@ impl App {
             self.live.as_ref().and_then(|live| live.grid.as_ref()).and_then(|g| Some((g.range()?, g.histogram(BARS))));
         let faults = self.map.as_ref().and_then(|m| m.done.as_ref()).map_or([0; 2], |d| [d.faults.len(), d.at]);
         let gpu = self.device().is_some();
-        let progress = self.opening.as_ref().map(Opening::progress).filter(|p| *p > 0.0);
+        let progress = self.opening.as_ref().map(Opening::progress).filter(|p| *p > 0.0 && self.keeps.is_none());
         let Some(screen) = &mut self.screen else { return Ok(()) };
         let size = self.size;
         let map = self.map.as_ref().and_then(|m| m.done.as_ref());
