@@ -137,8 +137,10 @@ impl Page {
         } else {
             let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
             self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
-            self.control.target = tour::Subject::new(&world.scene).center();
-            self.control.set_mode(Mode::of(world.about.kind));
+            // What the file says of its kind does not come this far: its shape tells.
+            let subject = tour::Subject::new(&world.scene);
+            self.control.target = subject.center();
+            self.control.set_mode(if subject.terrain { Mode::Solid } else { Mode::Orbit });
         }
         self.level = level;
         self.drawer = Some(drawer);

@@ -311,8 +311,10 @@ pub(super) fn colors(
         (2 | 6, 3..) => &[0, 1, 2],
         (0 | 1 | 3, _) => &[0, 0, 0],
         _ => {
-            return Err(tiff
-                .fault(format!("photometric {}: a colour map is grey, RGB, YCbCr or of a palette", image.photometric)));
+            return Err(tiff.fault(format!(
+                "photometric {}: a colour map is grey, RGB, YCbCr or of a palette",
+                image.photometric
+            )));
         }
     };
     if image.sample != Sample::Unsigned || !matches!(image.bits, 8 | 16) {

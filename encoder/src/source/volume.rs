@@ -507,7 +507,11 @@ impl<'a> Volume<'a> {
                 paint = Measured::of(&data, size, &*decode)?.rule(Some(least), &Meant::default()).1;
             }
             match (Ramp::find(name)?, paint) {
-                (Some(of), Paint::Ramp(low, high)) => ramp = Some(Arc::new([of.over(low, high), of.over(0.0, 1.0)])),
+                (Some(of), Paint::Ramp(low, high)) => {
+                    // A surface is mostly of values near the threshold, and shading shows on nothing black.
+                    let begin = low - DARK * (high - low);
+                    ramp = Some(Arc::new([of.over(begin, high), of.over(-DARK, 1.0)]));
+                }
                 (None, Paint::Ramp(..)) => paint = Paint::None,
                 (_, Paint::Labels) => left_out.push("--ramp: labels have a colour each".to_owned()),
                 (_, Paint::None) => left_out.push("--ramp: values are not different enough".to_owned()),
@@ -1072,6 +1076,9 @@ impl Pieces for Volume<'_> {
         }
     }
 }
+
+/// Of the values that are shown, how many more a ramp has colours for below them.
+const DARK: f64 = 0.35;
 
 fn rounded(color: [f64; 3]) -> Rgb {
     color.map(|c| c.round().clamp(0.0, 255.0) as u8)
