@@ -36,9 +36,12 @@ impl Browser {
     /// The list in a window; the file, folder or address that was chosen.
     pub fn show(&mut self, ui: &Ui) -> Option<PathBuf> {
         let (mut chosen, mut goes, mut open) = (None, None, self.open);
-        egui::Window::new("open").id(egui::Id::unique("browser")).open(&mut open).default_size([420.0, 420.0]).show(
-            ui.ctx(),
-            |ui| {
+        egui::Window::new("open")
+            .id(egui::Id::unique("browser"))
+            .open(&mut open)
+            .default_pos([320.0, 40.0])
+            .default_size([420.0, 420.0])
+            .show(ui.ctx(), |ui| {
                 let field = egui::TextEdit::singleline(&mut self.typed).desired_width(f32::INFINITY);
                 let typed = ui.add(field).on_hover_text("a file, a folder, an address, or procedural:NAME");
                 if typed.lost_focus() && ui.input(|i| i.key_pressed(egui::Key::Enter)) {
@@ -46,7 +49,7 @@ impl Browser {
                     if path.is_dir() { goes = Some(path) } else { chosen = Some(path) }
                 }
                 ui.horizontal(|ui| {
-                    if ui.button("⬆ up").clicked() {
+                    if ui.button("up").clicked() {
                         goes = self.folder.parent().map(Path::to_owned);
                     }
                     if ui.button("open this folder").on_hover_text("slices, tiles, a DICOM series, Zarr").clicked() {
@@ -58,15 +61,14 @@ impl Browser {
                 }
                 egui::ScrollArea::vertical().auto_shrink([false; 2]).show(ui, |ui| {
                     for (name, folder) in &self.entries {
-                        let text = if *folder { format!("🗀 {name}") } else { name.clone() };
+                        let text = if *folder { format!("{name}/") } else { name.clone() };
                         if ui.selectable_label(false, text).clicked() {
                             let path = self.folder.join(name);
                             if *folder { goes = Some(path) } else { chosen = Some(path) }
                         }
                     }
                 });
-            },
-        );
+            });
         self.open = open && chosen.is_none();
         if let Some(folder) = goes {
             self.show_folder(&folder);

@@ -193,9 +193,9 @@ impl Overlay<'_> {
         let (s, c) = (degrees.to_radians().sin() as f32, degrees.to_radians().cos() as f32);
         let middle = self.area.right_top() + vec2(-34.0, 38.0);
         let (ahead, side) = (vec2(s, -c), vec2(c, s));
-        let tip = middle + ahead * 20.0;
+        let tip = middle + ahead * 12.0;
         let shape =
-            vec![tip, middle + side * 7.0 - ahead * 10.0, middle - ahead * 4.0, middle - side * 7.0 - ahead * 10.0];
+            vec![tip, middle + side * 7.0 - ahead * 18.0, middle - ahead * 12.0, middle - side * 7.0 - ahead * 18.0];
         paint.circle_filled(middle, 30.0, Color32::from_black_alpha(110));
         paint.add(egui::Shape::convex_polygon(shape[..3].to_vec(), Color32::WHITE, Stroke::NONE));
         paint.add(egui::Shape::convex_polygon(
@@ -203,7 +203,7 @@ impl Overlay<'_> {
             Color32::from_gray(170),
             Stroke::NONE,
         ));
-        shadowed(paint, middle - ahead * 20.0, Align2::CENTER_CENTER, "N");
+        shadowed(paint, middle + ahead * 20.0, Align2::CENTER_CENTER, "N");
     }
 
     /// A ring about an error, and its pixels as they are and as they should be.

@@ -588,7 +588,7 @@ fn words(ctx: &egui::Context, subject: &Subject<'_>) {
     if subject.words.is_empty() && subject.progress.is_none() {
         return;
     }
-    egui::Area::new(egui::Id::unique("words")).anchor(Align2::RIGHT_BOTTOM, [-12.0, -12.0]).interactable(false).show(
+    egui::Area::new(egui::Id::unique("words")).anchor(Align2::RIGHT_BOTTOM, [-12.0, -46.0]).interactable(false).show(
         ctx,
         |ui| {
             egui::Frame::popup(ui.style()).show(ui, |ui| {
