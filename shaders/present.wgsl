@@ -16,12 +16,13 @@ fn at(x: i32, y: i32) -> vec3<f32> {
 
 @fragment
 fn pixel(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let here = position.xy - vec2<f32>(present.at);
     var color: vec3<f32>;
     if (all(present.size == present.surface)) {
-        color = at(i32(position.x), i32(position.y));
+        color = at(i32(here.x), i32(here.y));
     } else {
         // Enlarged or reduced: linear between the four pixels around.
-        let p = position.xy * vec2<f32>(present.size) / vec2<f32>(present.surface) - 0.5;
+        let p = here * vec2<f32>(present.size) / vec2<f32>(present.surface) - 0.5;
         let low = floor(p);
         let f = p - low;
         let x = i32(low.x);

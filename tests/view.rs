@@ -324,6 +324,49 @@ fn window_records_what_fly_flies_maps_errors_and_remembers_the_view() {
 }
 
 #[test]
+fn window_orbits_a_volume_moves_its_threshold_and_measures() {
+    let place = Place::new();
+    const N: usize = 24;
+    let value = |i: usize| {
+        let at = [i % N, i / N % N, i / N / N].map(|v| v as f64 - 11.5);
+        (220.0 - 16.0 * at.iter().map(|v| v * v).sum::<f64>().sqrt()).max(0.0) as u8
+    };
+    let head = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({N}, {N}, {N}), }}");
+    let mut npy = [&b"\x93NUMPY\x01\x00\x76\x00"[..], format!("{head:<117}\n").as_bytes()].concat();
+    npy.extend((0..N * N * N).map(value));
+    fs::write(place.path("ball.npy"), npy).unwrap();
+    let script = place.script(json!([
+        {"t": 0, "wait": {}},
+        {"t": 0, "key": "KeyL"},
+        {"t": 0, "click": [150, 100]},
+        {"t": 0, "click": [170, 100]},
+        {"t": 0, "figures": "before.json"},
+        {"t": 0.1, "drag": {"from": [100, 100], "to": [160, 90]}},
+        {"t": 0.2, "tune": {"threshold": 150}},
+        {"t": 0.3, "wait": {}},
+        {"t": 0.4, "screenshot": "shot.png"},
+        {"t": 0.4, "figures": "after.json"},
+        {"t": 0.5, "key": "KeyX"},
+        {"t": 0.6, "figures": "map.json"},
+        {"t": 0.6, "quit": {}}
+    ]));
+    let out = place.succeeds(&format!("view ball.npy --window 320x200 --device cpu {script}"));
+    let before = place.json("before.json");
+    assert_eq!(before["mode"], "orbit");
+    // The places lie in the middle of the picture, 20 of its 200 pixels apart, as far away as a ball of 24 voxels is that fills it.
+    let said = words(&before);
+    let length: f64 = said.split(" voxels: ").next().unwrap().rsplit([' ', '\n']).next().unwrap().parse().unwrap();
+    assert!(said.contains(" across, ") && (1.0..6.0).contains(&length), "{said}");
+    let command = out.lines().next().unwrap();
+    assert!(command.starts_with("planecast render ball.npy --iso 150 -o view.png"), "{command}");
+    place.again(command);
+    assert_eq!(pictures(&place.picture("shot.png").1, &place.picture("again.png").1), Difference::default());
+    let after = place.json("after.json");
+    assert_eq!((&after["threshold"], &after["preview"]), (&json!(150.0), &Value::Null), "encoded as encode does it");
+    assert!(place.json("map.json")["faults"].is_u64(), "errors are counted");
+}
+
+#[test]
 fn window_that_cannot_be_opened_is_a_plain_error() {
     let place = Place::new();
     let fails = |line: &str, display: &str| {

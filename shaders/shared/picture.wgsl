@@ -1,9 +1,10 @@
 // The finished picture and the surface that shows it.
 
 struct Present {
-    // Pixels of the picture and of the surface.
+    // Pixels of the picture, and of the surface those that show it, which begin at `at`.
     size: vec2<u32>,
     surface: vec2<u32>,
+    at: vec2<u32>,
     // The picture has b in the low byte, not r.
     bgra: u32,
     _pad0: u32,

@@ -19,21 +19,31 @@ use crate::{Camera, CpuRenderer, Options, Outputs, Repeat, Resident, Result, cli
 
 /// Metres above the sea, 16 bits, one pixel each 30 m.
 const ELEVATION: &[u8] = include_bytes!("../../assets/jacksboro-elevation.png");
-const COLORS: &[u8] = include_bytes!("../../assets/jacksboro-colors.png");
 
-/// Voxels a metre: a voxel is 30 m wide and 10 m high, so that the hills show.
-const HEIGHT_SCALE: f64 = 0.1;
+/// Flags of `encode` that make the scene of it: voxels are 30 m wide; hills are drawn three times as high, so that they show.
+const FLAGS: &str = "--height-scale 0.0333333 --exaggeration 3 --ramp terrain";
 
 const STILL: [u32; 2] = [1280, 720];
 const FILM: [u32; 2] = [1280, 720];
 const FRAMES: usize = 240;
 const FPS: f64 = 30.0;
 
+/// [`FLAGS`], as `encode` reads them.
+fn read_options() -> ReadOptions {
+    #[derive(clap::Parser)]
+    struct Flags {
+        #[command(flatten)]
+        read: ReadOptions,
+    }
+    let words = ["encode"].into_iter().chain(FLAGS.split(' '));
+    <Flags as clap::Parser>::parse_from(words).read
+}
+
 /// Makes the demo's files in `folder` and tells of each.
 pub fn demo(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| FileError::io(folder, "create the folder", e))?;
     let file = |name: &str| folder.join(name);
-    let (elevation, colors) = (file("elevation.png"), file("colors.png"));
+    let elevation = file("elevation.png");
     let (scene_file, still, film) = (file("jacksboro.pcast"), file("still.png"), file("flight.mp4"));
     output::check(&still)?;
     output::check(&film)?;
@@ -43,14 +53,17 @@ pub fn demo(folder: &Path) -> Result<()> {
     let tell = |what: String| cli::print(&format!("{:5.1} s  {what}\n", start.elapsed().as_secs_f64()));
 
     output::write(&elevation, |out| out.write_all(ELEVATION))?.finish()?;
-    output::write(&colors, |out| out.write_all(COLORS))?.finish()?;
-    tell(format!("{}, {}: hills near Jacksboro, Tennessee (SRTM)", elevation.display(), colors.display()))?;
+    tell(format!("{}: hills near Jacksboro, Tennessee (SRTM)", elevation.display()))?;
 
-    let read = ReadOptions { colors: Some(colors), height_scale: Some(HEIGHT_SCALE), ..ReadOptions::default() };
+    let read = read_options();
     let scene = build(source::open(&elevation, &read)?, &BuildOptions::default())?;
     write::write_scene(&scene, &scene_file)?;
     let [nx, ny, nz] = scene.dims();
-    tell(format!("{}: {nx} x {ny} x {nz} voxels, {} levels", scene_file.display(), scene.levels.len()))?;
+    let (from, to) = (elevation.display(), scene_file.display());
+    tell(format!(
+        "{to}: {nx} x {ny} x {nz} voxels, {} levels: planecast encode {from} -o {to} {FLAGS}",
+        scene.levels.len()
+    ))?;
 
     // From the file, as any other command would.
     let scene = Arc::new(PcastFile::open(&scene_file)?.read_scene()?);

@@ -212,6 +212,7 @@ impl GpuRenderer {
 struct Present {
     size: [u32; 2],
     surface: [u32; 2],
+    at: [u32; 2],
     bgra: u32,
     _pad0: u32,
 }
@@ -382,8 +383,22 @@ impl Presenter {
         picture: Shaded<'_>,
         size: [u32; 2],
     ) -> Way {
+        self.show_in(encoder, texture, picture, size, [0; 2], [texture.width(), texture.height()])
+    }
+
+    /// The same on the pixels of the texture from `at` on, `area` of them a side; the others become black.
+    pub fn show_in(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        texture: &wgpu::Texture,
+        picture: Shaded<'_>,
+        size: [u32; 2],
+        at: [u32; 2],
+        area: [u32; 2],
+    ) -> Way {
         let row = 4 * size[0];
-        let same = size == [texture.width(), texture.height()];
+        let whole = area == [texture.width(), texture.height()];
+        let same = whole && size == area;
         let copies = self.copied == Some(picture.order) && row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let way = match &self.write {
             Some(_) if same && (writes_first(&self.device) || !copies) => Way::Written,
@@ -407,7 +422,7 @@ impl Presenter {
                     encoder.write_timestamp(&c.queries, 1);
                 }
             }
-            Way::Drawn => self.draw(encoder, texture, picture, size, clock),
+            Way::Drawn => self.draw(encoder, texture, picture, size, [at, area], clock),
             Way::Written => self.write(encoder, texture, picture, size, clock),
         }
         if let Some(c) = clock {
@@ -420,14 +435,13 @@ impl Presenter {
     fn group(
         &self,
         layout: wgpu::BindGroupLayout,
-        texture: &wgpu::Texture,
         picture: Shaded<'_>,
         size: [u32; 2],
+        [at, surface]: [[u32; 2]; 2],
         into: Option<&wgpu::TextureView>,
     ) -> wgpu::BindGroup {
-        let surface = [texture.width(), texture.height()];
         let bgra = u32::from(picture.order == ByteOrder::Bgra);
-        let present = Present { size, surface, bgra, _pad0: 0 };
+        let present = Present { size, surface, at, bgra, _pad0: 0 };
         self.device.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&present));
         let mut entries = vec![
             wgpu::BindGroupEntry { binding: 0, resource: self.params.as_entire_binding() },
@@ -453,7 +467,8 @@ impl Presenter {
     ) {
         let Some(pipeline) = &self.write else { return };
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let group = self.group(pipeline.get_bind_group_layout(0), texture, picture, size, Some(&view));
+        let whole = [[0; 2], [texture.width(), texture.height()]];
+        let group = self.group(pipeline.get_bind_group_layout(0), picture, size, whole, Some(&view));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("present_write"),
             timestamp_writes: clock.map(|c| wgpu::ComputePassTimestampWrites {
@@ -473,9 +488,10 @@ impl Presenter {
         texture: &wgpu::Texture,
         picture: Shaded<'_>,
         size: [u32; 2],
+        place: [[u32; 2]; 2],
         clock: Option<&Clock>,
     ) {
-        let group = self.group(self.pipeline.get_bind_group_layout(0), texture, picture, size, None);
+        let group = self.group(self.pipeline.get_bind_group_layout(0), picture, size, place, None);
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("present"),
@@ -494,6 +510,8 @@ impl Presenter {
         });
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &group, &[]);
+        let [[x, y], [width, height]] = place;
+        pass.set_scissor_rect(x, y, width, height);
         pass.draw(0..3, 0..1);
     }
 

@@ -168,12 +168,12 @@ impl Canvas {
         Ok(())
     }
 
-    /// Shows a picture of `size` pixels and egui's painting over it. `grab` gets what was shown, RGBA row by row.
+    /// Shows a picture on the pixels from `at` on, `area` of them a side, and egui's painting over it; the picture has `size` pixels. `grab` gets what was shown, RGBA row by row.
     pub fn show(
         &mut self,
         window: &Arc<Window>,
         picture: Picture<'_>,
-        size: [u32; 2],
+        [at, area, size]: [[u32; 2]; 3],
         painting: &mut Painting,
         grab: Option<&mut Vec<[u8; 4]>>,
     ) -> Result<Shown> {
@@ -223,7 +223,11 @@ impl Canvas {
             }
         };
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let mut show = |picture: Shaded<'_>| self.presenter.show(&mut encoder, &texture.texture, picture, size);
+        // A window that was made smaller since.
+        let at = [at[0].min(surface_size[0] - 1), at[1].min(surface_size[1] - 1)];
+        let area = [area[0].min(surface_size[0] - at[0]), area[1].min(surface_size[1] - at[1])];
+        let mut show =
+            |picture: Shaded<'_>| self.presenter.show_in(&mut encoder, &texture.texture, picture, size, at, area);
         self.way = match picture {
             Picture::None => None,
             Picture::OnDevice(drawer) => drawer.with_picture(&mut show),

@@ -5,6 +5,7 @@
 
 use glam::DVec3;
 use planecast_encoder::Columns;
+use planecast_encoder::model::about::Kind;
 
 use crate::film::path::Pose;
 use crate::frame::options::Repeat;
@@ -37,9 +38,19 @@ const STRIDE: f64 = 0.4;
 /// Tests of one step of time at most: beyond, a body goes no farther.
 const STRIDES: usize = 4096;
 
+/// How far a notch of the wheel brings an orbit nearer, and how far it may come: voxels.
+const NEARER: f64 = 0.88;
+const DISTANCES: (f64, f64) = (0.5, 1e7);
+
+/// Degrees a pixel that an orbit turns, and degrees a second of a held key.
+const TURN: f64 = 0.3;
+const TURNS: f64 = 60.0;
+
 /// How the camera meets the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
+    /// Round what is looked at, always in the middle.
+    Orbit,
     /// Through everything.
     #[default]
     Fly,
@@ -50,13 +61,23 @@ pub enum Mode {
 }
 
 impl Mode {
-    pub const ALL: [Mode; 3] = [Mode::Fly, Mode::Solid, Mode::Walk];
+    pub const ALL: [Mode; 4] = [Mode::Orbit, Mode::Fly, Mode::Solid, Mode::Walk];
 
     pub fn name(self) -> &'static str {
         match self {
+            Mode::Orbit => "orbit",
             Mode::Fly => "fly",
             Mode::Solid => "fly, solid ground",
             Mode::Walk => "walk",
+        }
+    }
+
+    /// What suits a thing of that kind: round models and scans, over the ground of terrains, through everything else.
+    pub fn of(kind: Option<Kind>) -> Mode {
+        match kind {
+            Some(Kind::Volume | Kind::Labels | Kind::Mesh | Kind::Points | Kind::Model) => Mode::Orbit,
+            Some(Kind::Terrain) => Mode::Solid,
+            Some(Kind::Procedural) | None => Mode::Fly,
         }
     }
 }
@@ -146,6 +167,8 @@ pub struct Control {
     pub speed: f64,
     /// Voxels from the ground to a walker's eye.
     pub eye_height: f64,
+    /// What an orbit goes round.
+    pub target: DVec3,
     mode: Mode,
     held: u16,
     /// Voxels a second upwards, of a walker.
@@ -159,7 +182,18 @@ impl Control {
     pub fn new(pose: Pose, dims: [u32; 3]) -> Control {
         let extent = f64::from(dims.into_iter().max().unwrap_or(1));
         let speed = (extent / 10.0).clamp(4.0, 200.0);
-        Control { pose, speed, eye_height: 1.7, mode: Mode::Fly, held: 0, rise: 0.0, grounded: false, flight: None }
+        let target = DVec3::from(dims.map(f64::from)) / 2.0;
+        Control {
+            pose,
+            speed,
+            eye_height: 1.7,
+            target,
+            mode: Mode::Fly,
+            held: 0,
+            rise: 0.0,
+            grounded: false,
+            flight: None,
+        }
     }
 
     pub fn mode(&self) -> Mode {
@@ -168,6 +202,52 @@ impl Control {
 
     pub fn set_mode(&mut self, mode: Mode) {
         (self.mode, self.rise, self.grounded, self.flight) = (mode, 0.0, false, None);
+        if mode == Mode::Orbit {
+            self.aim();
+        }
+    }
+
+    /// Gives an orbit what lies straight ahead to go round, as far away as its target.
+    fn aim(&mut self) {
+        let ahead = self.forward();
+        let distance = (self.target - self.pose.eye).dot(ahead).clamp(DISTANCES.0, DISTANCES.1);
+        self.target = self.pose.eye + ahead * distance;
+    }
+
+    fn forward(&self) -> DVec3 {
+        Pose { roll: 0.0, ..self.pose }.camera([1, 1]).basis().forward
+    }
+
+    /// The eye of an orbit at this distance of its target.
+    fn swing(&mut self, distance: f64) {
+        self.pose.eye = self.target - self.forward() * distance.clamp(DISTANCES.0, DISTANCES.1);
+    }
+
+    /// Moves an orbit and what it goes round across the picture: the target follows the mouse over so many pixels, of a picture
+    /// `height` pixels high. Other modes go sideways.
+    pub fn pan(&mut self, dx: f64, dy: f64, height: f64) {
+        if !(dx.is_finite() && dy.is_finite() && height >= 1.0) {
+            return;
+        }
+        let camera = self.pose.camera([1, 1]);
+        let (basis, half) = (camera.basis(), camera.half_extent());
+        let distance = if self.mode == Mode::Orbit { (self.target - self.pose.eye).length() } else { self.speed };
+        let moved = (basis.up * dy - basis.right * dx) * (2.0 * half.y * distance / height);
+        self.pose.eye += moved;
+        self.target += moved;
+    }
+
+    /// Comes nearer by so many notches: an orbit to its target, others along their way.
+    pub fn nearer(&mut self, notches: f64) {
+        if !notches.is_finite() {
+            return;
+        }
+        let notches = notches.clamp(-20.0, 20.0);
+        if self.mode == Mode::Orbit {
+            self.swing((self.target - self.pose.eye).length() * NEARER.powf(notches));
+        } else {
+            self.pose.eye += self.forward() * self.speed * 0.1 * notches;
+        }
     }
 
     /// A key went down or up; false where it moves nothing.
@@ -194,17 +274,24 @@ impl Control {
         if !(dx.is_finite() && dy.is_finite()) {
             return;
         }
-        let degrees = DEGREES_A_PIXEL * self.pose.fov / 60.0;
+        let orbits = self.mode == Mode::Orbit;
+        let distance = (self.target - self.pose.eye).length();
+        let degrees = if orbits { TURN } else { DEGREES_A_PIXEL * self.pose.fov / 60.0 };
         // As seen: a rolled camera turns about its own axes, as far as yaw and pitch go.
         let (s, c) = crate::frame::camera::sin_cos_degrees(self.pose.roll);
         let (dx, dy) = (dx * c + dy * s, dy * c - dx * s);
         self.pose.yaw = (self.pose.yaw + dx * degrees).rem_euclid(360.0);
         self.pose.pitch = (self.pose.pitch - dy * degrees).clamp(-90.0, 90.0);
+        if orbits {
+            self.swing(distance);
+        }
     }
 
-    /// The wheel turned by so many notches: the speed changes by a quarter each.
+    /// The wheel turned by so many notches: the speed changes by a quarter each, or an orbit comes nearer.
     pub fn wheel(&mut self, notches: f64) {
-        if notches.is_finite() {
+        if self.mode == Mode::Orbit {
+            self.nearer(notches);
+        } else if notches.is_finite() {
             self.speed = (self.speed * 1.25f64.powf(notches.clamp(-20.0, 20.0))).clamp(SPEEDS.0, SPEEDS.1);
         }
     }
@@ -212,12 +299,14 @@ impl Control {
     /// Goes to a place and looks from there, at once.
     pub fn place(&mut self, pose: Pose) {
         self.pose = pose;
+        self.aim();
         (self.rise, self.grounded, self.flight) = (0.0, false, None);
     }
 
     /// The same place, pace and way in a world whose voxels are `times` as many along each axis.
     pub fn scale(&mut self, times: f64) {
         self.pose.eye *= times;
+        self.target *= times;
         self.speed = (self.speed * times).clamp(SPEEDS.0, SPEEDS.1);
         (self.rise, self.grounded) = (self.rise * times, false);
         if let Some(flight) = &mut self.flight {
@@ -234,6 +323,7 @@ impl Control {
             return;
         }
         let to = self.pose.eye + direction * (distance - before);
+        self.target = self.pose.eye + direction * distance;
         self.flight = Some(Flight { from: self.pose.eye, to, seconds: 0.0 });
     }
 
@@ -260,6 +350,9 @@ impl Control {
             self.pose.eye = flight.from.lerp(flight.to, eased);
             if part == 1.0 {
                 self.flight = None;
+                if self.mode == Mode::Orbit {
+                    self.aim();
+                }
             }
             return;
         }
@@ -267,6 +360,17 @@ impl Control {
         let along = self.holds(Held::Forward) - self.holds(Held::Back);
         let across = self.holds(Held::Right) - self.holds(Held::Left);
         let up = self.holds(Held::Up) - self.holds(Held::Down);
+        if self.mode == Mode::Orbit {
+            // Keys turn it, and come nearer: a third of the way a second.
+            let fast = if self.holds(Held::Faster) > 0.0 { FASTER } else { 1.0 };
+            let distance = (self.target - self.pose.eye).length() * (1.0 - 0.9 * fast * dt * along).clamp(0.2, 5.0);
+            if along != 0.0 || across != 0.0 || up != 0.0 {
+                self.pose.yaw = (self.pose.yaw - across * TURNS * fast * dt).rem_euclid(360.0);
+                self.pose.pitch = (self.pose.pitch - up * TURNS * fast * dt).clamp(-90.0, 90.0);
+                self.swing(distance);
+            }
+            return;
+        }
         if self.mode == Mode::Walk {
             self.walk(along, across, speed, dt, ground);
             return;
@@ -447,6 +551,42 @@ mod tests {
             c.key(code, false);
             assert!((c.pose.eye - before - 3.0 * way).length() < 1e-9, "{code}");
         }
+    }
+
+    #[test]
+    fn control_orbits_what_it_looks_at() {
+        let columns = world();
+        let middle = DVec3::splat(32.0);
+        let mut c = control(DVec3::new(32.0, 32.0, 132.0), 0.0, 0.0);
+        c.set_mode(Mode::Orbit);
+        assert!((c.target - middle).length() < 1e-9);
+        let at = |c: &Control| (c.target - c.pose.eye).normalize().dot(c.forward());
+        for (dx, dy) in [(40.0, 0.0), (0.0, -25.0), (-300.0, 90.0), (0.0, 4000.0), (f64::NAN, 1.0)] {
+            c.look(dx, dy);
+            assert!((c.target - middle).length() < 1e-9 && ((c.pose.eye - middle).length() - 100.0).abs() < 1e-6);
+            assert!((at(&c) - 1.0).abs() < 1e-9, "the target stays in the middle");
+        }
+        c.wheel(1.0);
+        assert!(((c.pose.eye - middle).length() - 88.0).abs() < 1e-6);
+        c.look(0.0, -700.0);
+        let before = c.pose;
+        for code in ["KeyA", "KeyW", "Space"] {
+            c.key(code, true);
+            steps(&mut c, 10, &columns);
+            c.key(code, false);
+        }
+        assert!((at(&c) - 1.0).abs() < 1e-9 && (c.pose.eye - middle).length() < 88.0 && c.pose.yaw != before.yaw);
+        // The mouse takes what is in the middle along: half a picture is half of what is seen there.
+        let mut c = control(DVec3::new(32.0, 32.0, 132.0), 0.0, 0.0);
+        c.set_mode(Mode::Orbit);
+        c.pan(0.0, 50.0, 100.0);
+        let half = 100.0 * 30f64.to_radians().tan();
+        assert!((c.target - middle - DVec3::Y * half).length() < 1e-9 && (c.pose.eye.y - 32.0 - half).abs() < 1e-9);
+        c.place(Pose { eye: DVec3::new(0.0, 32.0, 32.0), yaw: 90.0, pitch: 0.0, ..c.pose });
+        c.look(10.0, 10.0);
+        assert!((at(&c) - 1.0).abs() < 1e-9, "another place has another target");
+        assert_eq!(Mode::of(Some(Kind::Mesh)), Mode::Orbit);
+        assert_eq!((Mode::of(Some(Kind::Terrain)), Mode::of(None)), (Mode::Solid, Mode::Fly));
     }
 
     #[test]

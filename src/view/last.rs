@@ -77,6 +77,35 @@ pub fn remember(file: &Path, scene: &str, pose: &Pose, now: u64) -> Result<()> {
     Ok(())
 }
 
+/// Files that are remembered as opened.
+const RECENT: usize = 10;
+
+/// Where the list of files lies that were opened: beside the views.
+pub fn recent_file() -> Option<PathBuf> {
+    Some(file()?.with_file_name("recent.json"))
+}
+
+/// Files that were opened, the latest first.
+pub fn recent(file: &Path) -> Vec<PathBuf> {
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or_default()
+}
+
+/// Remembers that a file was opened; the list as it is then.
+pub fn opened(file: &Path, path: &Path) -> Result<Vec<PathBuf>> {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let mut list = recent(file);
+    list.retain(|p| *p != path);
+    list.insert(0, path);
+    list.truncate(RECENT);
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder).map_err(|e| planecast_encoder::Error::io(folder, "create the folder", e))?;
+    }
+    let text = serde_json::to_string_pretty(&list).expect("plain values have a JSON form") + "\n";
+    output::write(file, |out| out.write_all(text.as_bytes()))?.finish()?;
+    Ok(list)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -95,6 +124,24 @@ mod tests {
             remember(&file, &format!("{i}"), &pose(0.0), 20 + i).unwrap();
         }
         assert_eq!((recall(&file, "y"), recall(&file, "x")), (None, Some(pose(3.25))));
+    }
+
+    #[test]
+    fn recent_files_are_kept_once_each_the_latest_first() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a/recent.json");
+        assert!(recent(&file).is_empty());
+        for i in 0..RECENT + 3 {
+            opened(&file, Path::new(&format!("/data/{i}.tif"))).unwrap();
+        }
+        let list = opened(&file, Path::new("/data/7.tif")).unwrap();
+        assert_eq!(
+            (list.len(), list[0].as_path(), list[1].as_path()),
+            (RECENT, Path::new("/data/7.tif"), Path::new("/data/12.tif"))
+        );
+        assert!(list == recent(&file) && list.iter().filter(|p| p.ends_with("7.tif")).count() == 1);
+        std::fs::write(&file, "{").unwrap();
+        assert!(recent(&file).is_empty());
     }
 
     #[test]

@@ -38,6 +38,32 @@ pub fn error_map(frame: &Frame, reference: &Frame) -> (Vec<[u8; 4]>, Agreement) 
     ((0..w * h).map(pixel).collect(), agreement)
 }
 
+/// Pixels around an error that are marked with it, and pixels within which errors count as one.
+const MARK: usize = 2;
+const CELL: usize = 24;
+
+/// The same picture with its errors enlarged, the worst on top, and places of errors, the largest heaps first.
+pub fn enlarged(picture: &[[u8; 4]], width: usize) -> (Vec<[u8; 4]>, Vec<[u32; 2]>) {
+    let height = picture.len() / width;
+    let mut out = picture.to_vec();
+    let mut heaps = std::collections::BTreeMap::<_, (usize, [usize; 2])>::new();
+    for color in [NEAR, SKY_ALONE, WRONG] {
+        for (i, _) in picture.iter().enumerate().filter(|(_, c)| **c == color) {
+            let (x, y) = (i % width, i / width);
+            for y in y.saturating_sub(MARK)..(y + MARK + 1).min(height) {
+                out[y * width..][x.saturating_sub(MARK)..(x + MARK + 1).min(width)].fill(color);
+            }
+            if color != NEAR {
+                let heap = heaps.entry((x / CELL, y / CELL)).or_default();
+                *heap = (heap.0 + 1, [heap.1[0] + x, heap.1[1] + y]);
+            }
+        }
+    }
+    let mut heaps: Vec<_> = heaps.into_values().collect();
+    heaps.sort_by_key(|(n, _)| std::cmp::Reverse(*n));
+    (out, heaps.into_iter().map(|(n, sum)| sum.map(|v| (v / n) as u32)).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -47,6 +73,22 @@ mod tests {
         let n = voxel.len();
         let color = vec![[80, 80, 80, 255]; n];
         Frame { width: 4, height: n as u32 / 4, color, depth: vec![1.0; n], voxel, stats: Stats::default() }
+    }
+
+    #[test]
+    fn errors_are_enlarged_and_the_largest_heap_comes_first() {
+        let grey = [9, 9, 9, 255];
+        let mut picture = vec![grey; 64 * 40];
+        picture[3 * 64 + 2] = WRONG;
+        for at in [30 * 64 + 50, 30 * 64 + 52] {
+            picture[at] = SKY_ALONE;
+        }
+        picture[20 * 64 + 10] = NEAR;
+        let (out, heaps) = enlarged(&picture, 64);
+        assert_eq!(heaps, [[51, 30], [2, 3]]);
+        let n = |color| out.iter().filter(|c| **c == color).count();
+        assert_eq!([n(WRONG), n(SKY_ALONE), n(NEAR)], [25, 35, 25]);
+        assert!(out[5 * 64 + 4] == WRONG && out[6 * 64 + 4] == grey);
     }
 
     #[test]

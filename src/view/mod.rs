@@ -9,23 +9,32 @@
 //! | [`last`] | the last view of each scene |
 //! | [`map`] | a frame and the exact one → a picture of the errors |
 //! | [`script`] | what tests and demonstrations do in the window |
+//! | [`live`] | a volume at other thresholds, as a slider moves |
+//! | [`tune`] | what of the reading of an input is changed while it is looked at |
 //! | [`crate::render::drawer`] | whatever draws a scene: the GPU, the CPU, or the exact reference |
-//! | `window`, `panel`, `canvas` | the window, what egui draws in it, the surface below (feature `view`) |
+//! | `window`, `panel`, `browse`, `overlay`, `canvas` | the window, what egui draws beside and on the picture, the surface below (feature `view`) |
 //!
 //! There is no second renderer: frames are those of [`crate::GpuRenderer`], left on the device and shown by one copy
 //! ([`crate::gpu::present`]), or those of [`crate::CpuRenderer`].
 
 #[cfg(feature = "view")]
+mod browse;
+#[cfg(feature = "view")]
 mod canvas;
 pub mod control;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod last;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod live;
 pub mod map;
+#[cfg(feature = "view")]
+mod overlay;
 pub mod pace;
 #[cfg(feature = "view")]
 mod panel;
 pub mod record;
 pub mod script;
+pub mod tune;
 #[cfg(feature = "view")]
 mod window;
 

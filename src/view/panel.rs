@@ -1,11 +1,16 @@
 //! What egui draws over the picture: the panel, the help, and words on the screen.
 
 use std::collections::VecDeque;
+use std::path::PathBuf;
 
 use egui::{Align2, Color32, RichText, Ui};
 use planecast_encoder::format::features::Named;
+use planecast_encoder::model::about::Kind;
 
+use super::browse::Browser;
 use super::control::{Control, Mode};
+use super::overlay::{Overlay, Ruler};
+use super::tune::{Keeps, RAMPS, Tune, number_after};
 use crate::frame::options::{Options, Planes, Remap, Shading};
 use crate::frame::picture::{StageTimes, Stats};
 use crate::frame::preset::Preset;
@@ -15,6 +20,9 @@ use crate::{Feature, Kernel};
 
 /// Frames that the graph shows.
 const FRAMES: usize = 160;
+
+/// Points that the panel is wide.
+pub const WIDTH: f32 = 288.0;
 
 /// Milliseconds of one frame, for the graph.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,8 +47,16 @@ const PARTS: [(&str, Color32); 5] = [
 ];
 
 /// What a person did in the panel, for the window to do.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Wish {
+    /// Lists files to open.
+    Browse,
+    Open(PathBuf),
+    /// The input is read in another way; at another threshold.
+    Tuned(Keeps),
+    Threshold,
+    /// Goes on to another error, or back.
+    Fault(i32),
     Draw(Draws),
     CopyCommand,
     Screenshot,
@@ -65,6 +81,9 @@ pub struct Panel {
     pub holds: bool,
     pub vsync: bool,
     pub screenshot_size: Option<[u32; 2]>,
+    /// All pixels, and the best preset, while nothing moves.
+    pub refines: bool,
+    pub browser: Browser,
 }
 
 impl Default for Panel {
@@ -79,6 +98,8 @@ impl Default for Panel {
             holds: false,
             vsync: true,
             screenshot_size: None,
+            refines: true,
+            browser: Browser::default(),
         }
     }
 }
@@ -99,6 +120,19 @@ pub struct Subject<'s> {
     pub recording: bool,
     pub playable: bool,
     pub error_map: bool,
+    /// Places of errors, and which of them is looked at.
+    pub faults: [usize; 2],
+    /// What is drawn is not what was asked for: each a line.
+    pub notes: &'s [String],
+    /// How the frame rate is held.
+    pub pace: Option<String>,
+    pub recent: &'s [PathBuf],
+    pub tune: &'s mut Tune,
+    /// Least and greatest value of a volume, and how many there are between.
+    pub values: Option<([f32; 2], Vec<u32>)>,
+    pub ruler: &'s mut Ruler,
+    /// The panel lies beside the picture, not on it.
+    pub beside: bool,
 }
 
 impl Panel {
@@ -112,35 +146,145 @@ impl Panel {
     /// Lays everything out.
     pub fn show(&mut self, ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
         let ctx = ui.ctx().clone();
+        if self.open && subject.beside {
+            let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_gray(24));
+            egui::Panel::left("panel").resizable(false).exact_size(WIDTH).frame(frame).show(ui, |ui| {
+                egui::ScrollArea::vertical().auto_shrink([false; 2]).show(ui, |ui| self.content(ui, subject, wishes));
+            });
+        } else if self.open {
+            egui::Window::new("planecast")
+                .id(egui::Id::unique("panel"))
+                .default_pos([8.0, 8.0])
+                .default_width(WIDTH)
+                .default_height(ctx.content_rect().height() - 60.0)
+                .vscroll(true)
+                .show(&ctx, |ui| self.content(ui, subject, wishes));
+        }
         words(&ctx, subject);
         if self.help {
             help(&ctx, &mut self.help);
         }
-        if !self.open {
-            return;
+        if self.browser.open {
+            wishes.extend(self.browser.show(ui).map(Wish::Open));
         }
-        egui::Window::new("planecast")
-            .id(egui::Id::unique("panel"))
-            .default_pos([8.0, 8.0])
-            .default_width(300.0)
-            .default_height(ctx.content_rect().height() - 60.0)
-            .vscroll(true)
-            .show(&ctx, |ui| {
-                ui.style_mut().spacing.item_spacing.y = 3.0;
-                self.times(ui, subject);
-                ui.separator();
-                self.drawing(ui, subject, wishes);
-                ui.separator();
-                self.camera(ui, subject, wishes);
-                if let Some(world) = subject.world {
-                    ui.separator();
-                    scene(ui, world, self.stats.bytes_scene_gpu);
-                }
+    }
+
+    fn content(&mut self, ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
+        ui.style_mut().spacing.item_spacing.y = 4.0;
+        ui.horizontal(|ui| {
+            if ui.button("Open (O)").clicked() {
+                wishes.push(Wish::Browse);
+            }
+            ui.add_enabled_ui(!subject.recent.is_empty(), |ui| {
+                ui.menu_button("Recent", |ui| {
+                    for path in subject.recent {
+                        let name = path.file_name().map_or(path.display().to_string(), |n| n.to_string_lossy().into());
+                        if ui.button(name).on_hover_text(path.display().to_string()).clicked() {
+                            wishes.push(Wish::Open(path.clone()));
+                            ui.close();
+                        }
+                    }
+                });
             });
+            if ui.button("Keys (F1)").clicked() {
+                self.help = true;
+            }
+        });
+        if let Some(world) = subject.world {
+            let [x, y, z] = world.resident.dims;
+            ui.label(RichText::new(world.name()).strong());
+            let kind = world.about.kind.map_or(String::new(), |kind| format!("{}, ", kind.name()));
+            ui.label(format!("{kind}{x} × {y} × {z} voxels"));
+        }
+        ui.separator();
+        self.view(ui, subject, wishes);
+        ui.separator();
+        self.picture(ui, subject, wishes);
+        tuning(ui, subject, wishes);
+        ui.separator();
+        if let Some(world) = subject.world {
+            ui.collapsing("About this file", |ui| about(ui, world));
+        }
+        ui.collapsing("Errors of the picture", |ui| faults(ui, subject, wishes));
+        ui.collapsing("Switches", |ui| self.drawing(ui, subject, wishes));
+        ui.collapsing("Times and figures", |ui| {
+            self.times(ui, subject);
+            if let Some(world) = subject.world {
+                ui.separator();
+                scene(ui, world, self.stats.bytes_scene_gpu);
+            }
+        });
+    }
+
+    /// How one moves.
+    fn view(&mut self, ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
+        let control = &mut *subject.control;
+        let mut mode = control.mode();
+        ui.horizontal_wrapped(|ui| {
+            for of in Mode::ALL {
+                ui.selectable_value(&mut mode, of, of.name());
+            }
+        });
+        if mode != control.mode() {
+            control.set_mode(mode);
+        }
+        if mode != Mode::Orbit {
+            ui.add(egui::Slider::new(&mut control.speed, 0.25..=100_000.0).logarithmic(true).text("voxels/s"));
+        }
+        ui.add(egui::Slider::new(&mut control.pose.fov, 5.0..=150.0).text("field of view, °"));
+        if mode == Mode::Walk {
+            ui.add(egui::Slider::new(&mut control.eye_height, 0.5..=50.0).logarithmic(true).text("eye height"));
+        }
+        ui.horizontal_wrapped(|ui| {
+            button(ui, "Good view (Home)", Wish::GoodView, wishes);
+            ui.toggle_value(&mut subject.ruler.on, "Measure (L)").on_hover_text("click two places");
+        });
+    }
+
+    /// How it is drawn and kept.
+    fn picture(&mut self, ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
+        let o = &mut *subject.options;
+        ui.horizontal(|ui| {
+            for preset in Preset::ALL {
+                if ui.selectable_label(preset.options(*o) == *o, preset.name()).clicked() {
+                    *o = preset.options(*o);
+                }
+            }
+            ui.checkbox(&mut self.refines, "best at rest");
+        });
+        ui.horizontal(|ui| {
+            ui.checkbox(&mut self.holds, "hold");
+            ui.add(egui::DragValue::new(&mut self.target_fps).range(1.0..=480.0).suffix(" frames/s"));
+        });
+        ui.horizontal_wrapped(|ui| {
+            button(ui, "Screenshot (F12)", Wish::Screenshot, wishes);
+            button(ui, if subject.recording { "Stop (R)" } else { "Record (R)" }, Wish::Record, wishes);
+            if subject.playable {
+                button(ui, "Play (P)", Wish::Play, wishes);
+            }
+            button(ui, "Copy command (C)", Wish::CopyCommand, wishes);
+            button(ui, "Full screen (F)", Wish::FullScreen, wishes);
+        });
+        ui.horizontal(|ui| {
+            let mut own = self.screenshot_size.is_some();
+            if ui.checkbox(&mut own, "screenshots of").changed() {
+                self.screenshot_size = own.then_some([3840, 2160]);
+            }
+            if let Some([w, h]) = &mut self.screenshot_size {
+                ui.add(egui::DragValue::new(w).range(1..=16_384));
+                ui.label("×");
+                ui.add(egui::DragValue::new(h).range(1..=16_384));
+            } else {
+                ui.label("the window's size");
+            }
+        });
     }
 
     fn times(&self, ui: &mut Ui, subject: &Subject<'_>) {
         ui.label(RichText::new(subject.device).small());
+        for line in subject.notes.iter().chain(&subject.pace) {
+            ui.label(RichText::new(line).small());
+        }
         let size = egui::vec2(ui.available_width().max(200.0), 60.0);
         let (rect, _) = ui.allocate_exact_size(size, egui::Sense::hover());
         let paint = ui.painter_at(rect);
@@ -211,13 +355,6 @@ impl Panel {
         });
         let o = &mut *subject.options;
         ui.horizontal(|ui| {
-            for preset in Preset::ALL {
-                if ui.selectable_label(preset.options(*o) == *o, preset.name()).clicked() {
-                    *o = preset.options(*o);
-                }
-            }
-        });
-        ui.horizontal(|ui| {
             let mut percent = match o.planes {
                 Planes::Factor(f) => f * 100.0,
                 _ => 100.0,
@@ -249,13 +386,7 @@ impl Panel {
             ui.checkbox(&mut o.repeat.x, "repeat x");
             ui.checkbox(&mut o.repeat.z, "repeat z");
         });
-        ui.horizontal(|ui| {
-            let mut holds = self.holds;
-            ui.checkbox(&mut holds, "hold");
-            ui.add(egui::DragValue::new(&mut self.target_fps).range(1.0..=480.0).suffix(" fps"));
-            self.holds = holds;
-            ui.checkbox(&mut self.vsync, "vsync");
-        });
+        ui.checkbox(&mut self.vsync, "vsync");
         ui.collapsing("more switches", |ui| {
             ui.checkbox(&mut o.readjust, "readjusted spacing of planes");
             ui.add(egui::Slider::new(&mut o.samples, 0.25..=4.0).text("samples a pixel"));
@@ -298,58 +429,112 @@ impl Panel {
             });
         });
     }
+}
 
-    fn camera(&mut self, ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
-        let control = &mut *subject.control;
-        let p = control.pose;
-        let eye = p.eye;
-        ui.label(format!("eye {:.1}, {:.1}, {:.1}", eye.x, eye.y, eye.z));
-        ui.label(format!("yaw {:.1}°, pitch {:.1}°, roll {:.1}°", p.yaw, p.pitch, p.roll));
-        ui.horizontal(|ui| {
-            let mut mode = control.mode();
-            for of in Mode::ALL {
-                ui.selectable_value(&mut mode, of, of.name());
+fn button(ui: &mut Ui, text: &str, wish: Wish, wishes: &mut Vec<Wish>) {
+    if ui.button(text).clicked() {
+        wishes.push(wish);
+    }
+}
+
+/// How the input is read: what can be changed while it is looked at.
+fn tuning(ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
+    let Some(world) = subject.world.filter(|w| w.encoded) else { return };
+    let (rule, tune) = (&world.about.rule, &mut *subject.tune);
+    let is_terrain = world.about.kind == Some(Kind::Terrain);
+    let is_volume = matches!(world.about.kind, Some(Kind::Volume | Kind::Labels));
+    if !is_terrain && !is_volume {
+        return;
+    }
+    ui.separator();
+    if is_volume {
+        if let Some(([low, high], histogram)) = &subject.values {
+            let mut threshold = tune.threshold.or(number_after(rule, "at least ")).unwrap_or(f64::from(*low));
+            bars(ui, histogram, (threshold as f32 - low) / (high - low).max(f32::MIN_POSITIVE));
+            ui.spacing_mut().slider_width = WIDTH - 150.0;
+            let slider = egui::Slider::new(&mut threshold, f64::from(*low)..=f64::from(*high));
+            if ui.add(slider.text("threshold")).changed() {
+                tune.threshold = Some(threshold);
+                wishes.push(Wish::Threshold);
             }
-            if mode != control.mode() {
-                control.set_mode(mode);
-            }
-        });
-        ui.add(egui::Slider::new(&mut control.speed, 0.25..=100_000.0).logarithmic(true).text("voxels/s"));
-        ui.add(egui::Slider::new(&mut control.pose.fov, 5.0..=150.0).text("field of view, °"));
-        if control.mode() == Mode::Walk {
-            ui.add(egui::Slider::new(&mut control.eye_height, 0.5..=50.0).logarithmic(true).text("eye height"));
+        } else {
+            ui.label("the threshold can be moved once the values are read");
         }
-        let button = |ui: &mut Ui, text: &str, wish: Wish, wishes: &mut Vec<Wish>| {
-            if ui.button(text).clicked() {
-                wishes.push(wish);
-            }
-        };
-        ui.horizontal_wrapped(|ui| {
-            button(ui, "copy command (C)", Wish::CopyCommand, wishes);
-            button(ui, if subject.error_map { "picture (X)" } else { "error map (X)" }, Wish::ErrorMap, wishes);
-            button(ui, "good view (Home)", Wish::GoodView, wishes);
-            button(ui, if subject.recording { "stop (R)" } else { "record (R)" }, Wish::Record, wishes);
-            if subject.playable {
-                button(ui, "play (P)", Wish::Play, wishes);
-            }
-            button(ui, "full screen (F)", Wish::FullScreen, wishes);
-            if ui.button("help (F1)").clicked() {
-                self.help = true;
-            }
-        });
         ui.horizontal(|ui| {
-            button(ui, "screenshot (F12)", Wish::Screenshot, wishes);
-            let mut own = self.screenshot_size.is_some();
-            if ui.checkbox(&mut own, "at").changed() {
-                self.screenshot_size = own.then_some([3840, 2160]);
+            ui.label("up:");
+            for up in ["x", "y", "z"] {
+                if ui.selectable_label(tune.up.as_deref() == Some(up), up).clicked() {
+                    tune.up = Some(up.into());
+                    wishes.push(Wish::Tuned(Keeps::Nothing));
+                }
             }
-            if let Some([w, h]) = &mut self.screenshot_size {
-                ui.add(egui::DragValue::new(w).range(1..=16_384));
-                ui.label("×");
-                ui.add(egui::DragValue::new(h).range(1..=16_384));
+            let mut as_is = tune.as_is.unwrap_or(world.about.left_out.iter().any(|l| l.contains("--spacing as-is")));
+            if ui.checkbox(&mut as_is, "voxels as cubes").changed() {
+                tune.as_is = Some(as_is);
+                wishes.push(Wish::Tuned(Keeps::Nothing));
             }
         });
     }
+    if is_terrain {
+        let mut times = tune.exaggeration.or(number_after(rule, "relief ")).unwrap_or(1.0);
+        if ui.add(egui::Slider::new(&mut times, 0.25..=20.0).logarithmic(true).text("times as high")).changed() {
+            tune.exaggeration = Some(times);
+            wishes.push(Wish::Tuned(Keeps::Height));
+        }
+    }
+    let chosen = tune.ramp.clone().unwrap_or_else(|| "as opened".into());
+    egui::ComboBox::from_label("colours").selected_text(chosen).show_ui(ui, |ui| {
+        for ramp in RAMPS {
+            if ui.selectable_label(tune.ramp.as_deref() == Some(ramp), ramp).clicked() {
+                tune.ramp = Some(ramp.into());
+                wishes.push(Wish::Tuned(Keeps::All));
+            }
+        }
+    });
+}
+
+/// How many values there are of each, and where the threshold is, as a share of the range.
+fn bars(ui: &mut Ui, histogram: &[u32], threshold: f32) {
+    let (rect, _) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 40.0), egui::Sense::hover());
+    let paint = ui.painter_at(rect);
+    paint.rect_filled(rect, 2.0, Color32::from_black_alpha(120));
+    // Air is most of many volumes: by the logarithm it leaves the others to be seen.
+    let most = histogram.iter().copied().max().unwrap_or(1).max(1) as f32;
+    let wide = rect.width() / histogram.len().max(1) as f32;
+    for (i, &n) in histogram.iter().enumerate() {
+        let high = (1.0 + n as f32).ln() / (1.0 + most).ln() * (rect.height() - 2.0);
+        let x = rect.left() + wide * i as f32;
+        let bar = egui::Rect::from_min_max(egui::pos2(x, rect.bottom() - high), egui::pos2(x + wide, rect.bottom()));
+        let solid = (i as f32 + 0.5) / histogram.len() as f32 >= threshold;
+        paint.rect_filled(bar, 0.0, if solid { Color32::from_rgb(238, 200, 166) } else { Color32::from_gray(90) });
+    }
+}
+
+/// What the input is, and how it was read.
+fn about(ui: &mut Ui, world: &World) {
+    let text = world.about.to_string();
+    for line in text.lines().flat_map(|line| line.split("; ")).chain(world.notes.iter().map(String::as_str)) {
+        ui.label(RichText::new(line).small());
+    }
+}
+
+fn faults(ui: &mut Ui, subject: &Subject<'_>, wishes: &mut Vec<Wish>) {
+    let [n, at] = subject.faults;
+    ui.horizontal_wrapped(|ui| {
+        button(
+            ui,
+            if subject.error_map { "Picture (X)" } else { "Compare with exact rays (X)" },
+            Wish::ErrorMap,
+            wishes,
+        );
+        if subject.error_map && n > 0 {
+            button(ui, "previous (B)", Wish::Fault(-1), wishes);
+            button(ui, "next (N)", Wish::Fault(1), wishes);
+            ui.label(format!("{} of {n}", at + 1));
+        } else if subject.error_map {
+            ui.label("no other voxel is shown anywhere");
+        }
+    });
 }
 
 fn shading_name(shading: Shading) -> &'static str {
@@ -403,7 +588,7 @@ fn words(ctx: &egui::Context, subject: &Subject<'_>) {
     if subject.words.is_empty() && subject.progress.is_none() {
         return;
     }
-    egui::Area::new(egui::Id::unique("words")).anchor(Align2::RIGHT_BOTTOM, [-12.0, -12.0]).interactable(false).show(
+    egui::Area::new(egui::Id::unique("words")).anchor(Align2::RIGHT_BOTTOM, [-12.0, -46.0]).interactable(false).show(
         ctx,
         |ui| {
             egui::Frame::popup(ui.style()).show(ui, |ui| {
@@ -420,24 +605,28 @@ fn words(ctx: &egui::Context, subject: &Subject<'_>) {
 }
 
 /// Keys and what they do.
-pub const KEYS: [(&str, &str); 20] = [
-    ("drag", "look around; M: without a button"),
-    ("W A S D", "forward, left, back, right"),
+pub const KEYS: [(&str, &str); 24] = [
+    ("drag", "look around, or turn what is orbited; M: without a button"),
+    ("right drag", "move across the picture"),
+    ("W A S D", "forward, left, back, right; an orbit: nearer, round"),
     ("Space, Ctrl", "up, down"),
     ("Shift", "four times as fast"),
-    ("wheel", "speed"),
+    ("wheel", "speed; an orbit: nearer"),
     ("Q E", "roll; Z levels the horizon"),
     ("double click", "fly to that place"),
-    ("G", "fly, fly without going through ground, walk"),
+    ("G", "orbit, fly, fly without going through ground, walk"),
+    ("O", "open a file"),
+    ("L", "measure: click two places"),
     ("1 2 3", "presets fast, balanced, best"),
     ("T", "hold the frame rate"),
     ("X", "error map of this view"),
+    ("N B", "next and previous error"),
     ("C", "copy the command that draws this view"),
     ("R", "record a path, or stop"),
     ("P", "play it"),
     ("F", "full screen"),
     ("F12", "screenshot"),
-    ("Home", "a good view"),
+    ("Home", "a good view, out of the ground"),
     ("Tab", "the panel"),
     ("F1", "this list"),
     ("Esc", "give the mouse back; leave full screen; quit"),
@@ -465,8 +654,14 @@ pub fn run(
     input: egui::RawInput,
     panel: &mut Panel,
     subject: &mut Subject<'_>,
+    overlay: Option<&Overlay<'_>>,
 ) -> (egui::FullOutput, Vec<Wish>) {
     let mut wishes = Vec::new();
-    let output = ctx.run_ui(input, |ui| panel.show(ui, subject, &mut wishes));
+    let output = ctx.run_ui(input, |ui| {
+        panel.show(ui, subject, &mut wishes);
+        if let Some(overlay) = overlay {
+            overlay.paint(ui.ctx());
+        }
+    });
     (output, wishes)
 }

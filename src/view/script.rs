@@ -22,6 +22,12 @@
 //! | `screenshot` | writes the view as `render` draws it (PNG), and prints that command |
 //! | `grab` | writes what the window shows, panel included (PNG) |
 //! | `figures` | writes what the latest frame cost (JSON) |
+//! | `click` | at these pixels of the window, as a mouse that does not move in between |
+//! | `hover` | the mouse is at these pixels |
+//! | `drag` | `{"from": [x, y], "to": [x, y]}`: the mouse moves with its button down |
+//! | `tune` | the input is read in another way: any of `threshold`, `up`, `as_is`, `ramp`, `exaggeration` |
+//! | `refine` | whether all pixels and the best preset are drawn at rest; scripts begin without |
+//! | `wait` | until the input is read as it was wanted |
 //! | `drop` | a file is dropped on the window |
 //! | `lose_device` | the GPU's device is given up, as when a driver is reset |
 //! | `surface` | the surface is `outdated`, as when the window changes under it, or `lost` |
@@ -36,6 +42,8 @@
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+
+use super::tune::Tune;
 
 use planecast_encoder::{Error, Result};
 
@@ -56,6 +64,12 @@ pub enum Action {
     Screenshot(PathBuf),
     Grab(PathBuf),
     Figures(PathBuf),
+    Click([f64; 2]),
+    Hover([f64; 2]),
+    Drag { from: [f64; 2], to: [f64; 2] },
+    Tune(Tune),
+    Refine(bool),
+    Wait {},
     Drop(PathBuf),
     LoseDevice {},
     Surface(Trouble),

@@ -7,6 +7,7 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime};
 
 use glam::DVec3;
+use planecast_encoder::model::about::Kind;
 use winit::application::ApplicationHandler;
 use winit::dpi::PhysicalSize;
 use winit::event::{DeviceEvent, DeviceId, ElementState, MouseButton, MouseScrollDelta, StartCause, WindowEvent};
@@ -16,11 +17,14 @@ use winit::window::{CursorGrabMode, Fullscreen, Window, WindowId};
 
 use super::canvas::{Canvas, Painting, Picture, Plain, Shown};
 use super::control::{Control, Ground, Mode};
-use super::map::{LEGEND, error_map};
+use super::live::Live;
+use super::map::{LEGEND, enlarged, error_map};
+use super::overlay::{self, Fault, Overlay, Ruler};
 use super::pace::Pace;
 use super::panel::{self, Cost, Panel, Subject, Wish};
 use super::record::Recorder;
 use super::script::{self, Action, Script};
+use super::tune::{Keeps, Tune};
 use super::{Settings, last, pose_flags};
 use crate::cpu::exact;
 use crate::cpu::renderer::{CpuRenderer, Outputs};
@@ -34,7 +38,7 @@ use crate::frame::preset::Preset;
 use crate::gpu::present::Way;
 use crate::render::device::Device;
 use crate::render::drawer::{Drawer, Drawn, Draws};
-use crate::world::{Opening, World};
+use crate::world::{OpenOptions, Opening, World};
 use crate::{Error, Kernel, Result, cli, output};
 
 /// Frames that are drawn after the last change, so that figures arrive and egui comes to rest.
@@ -42,6 +46,21 @@ const LINGER: u32 = 6;
 
 /// How long words stay on the screen.
 const WORDS: Duration = Duration::from_secs(6);
+
+/// How long what draws, and why, is said on the screen: the panel has it on.
+const NOTES: Duration = Duration::from_secs(10);
+
+/// Standing still so long, all pixels are drawn, and the best preset.
+const REST: Duration = Duration::from_millis(250);
+
+/// A threshold that has not moved for so long is encoded as `encode` does it.
+const SETTLED: Duration = Duration::from_millis(400);
+
+/// A button that comes up this near to where it went down, pixels, is a click.
+const CLICK: f64 = 4.0;
+
+/// Bars of the histogram.
+const BARS: usize = 96;
 
 /// A second click this soon and this near, pixels, is a double click.
 const DOUBLE: (Duration, f64) = (Duration::from_millis(400), 6.0);
@@ -89,6 +108,8 @@ enum Surface {
 enum Awaited {
     Size([u32; 2]),
     Scale(f64),
+    /// The input is read as it was wanted.
+    Reading,
 }
 
 /// The error map of a view: on its way, then there.
@@ -97,7 +118,17 @@ struct Map {
     options: Options,
     frame: Frame,
     exact: Receiver<Result<Frame>>,
-    done: Option<(Vec<[u8; 4]>, String)>,
+    done: Option<Compared>,
+}
+
+/// What an error map shows.
+struct Compared {
+    picture: Vec<[u8; 4]>,
+    text: String,
+    exact: Frame,
+    /// Places of errors, and which of them is looked at.
+    faults: Vec<[u32; 2]>,
+    at: usize,
 }
 
 struct App {
@@ -121,7 +152,28 @@ struct App {
     pixels: Option<Frame>,
     /// What stays on the screen, and what goes after a while.
     notes: Vec<String>,
+    noted: Instant,
     words: Vec<(String, Instant)>,
+    /// How inputs are read, and what was changed of it for this one.
+    tune: Tune,
+    live: Option<Live>,
+    /// A world at another threshold, and how often it was halved: drawn in place of the one that is there.
+    preview: Option<(Arc<World>, u32)>,
+    /// When the threshold is encoded as it is now.
+    settles: Option<Instant>,
+    /// What the world that is on its way keeps of the view; None where it is another one.
+    keeps: Option<Keeps>,
+    /// The input was changed again while it was on its way.
+    again: Option<Keeps>,
+    ruler: Ruler,
+    recent: Vec<PathBuf>,
+    /// Voxel, place and value under the mouse, in words, and from the eye to the middle of the picture.
+    hover: Option<String>,
+    ahead: Option<f64>,
+    /// What was drawn last was as all is drawn at rest; the view that rests, and since when.
+    seen: (Pose, Options, [u32; 2]),
+    rests: Instant,
+    refined: bool,
     script: Option<Script>,
     /// What the script waits for, and since when.
     awaited: Option<(Awaited, Instant)>,
@@ -133,7 +185,9 @@ struct App {
     /// Pixels a point.
     scale: f64,
     cursor: [f64; 2],
-    dragging: bool,
+    dragging: Option<MouseButton>,
+    pressed: [f64; 2],
+    shift: bool,
     captured: bool,
     clicked: Option<(Instant, [f64; 2])>,
     then: Instant,
@@ -153,6 +207,7 @@ impl App {
                 holds: target.is_some(),
                 target_fps: target.unwrap_or(60.0),
                 vsync: script.is_none(),
+                refines: script.is_none(),
                 screenshot_size: settings.screenshot_size,
                 ..Panel::default()
             },
@@ -172,7 +227,21 @@ impl App {
             drawn: None,
             pixels: None,
             notes: Vec::new(),
+            noted: Instant::now(),
             words: Vec::new(),
+            tune: Tune::default(),
+            live: None,
+            preview: None,
+            settles: None,
+            keeps: None,
+            again: None,
+            ruler: Ruler::default(),
+            recent: last::recent_file().map(|file| last::recent(&file)).unwrap_or_default(),
+            hover: None,
+            ahead: None,
+            seen: (pose, options, [0; 2]),
+            rests: Instant::now(),
+            refined: false,
             script,
             awaited: None,
             scale: 1.0,
@@ -180,7 +249,9 @@ impl App {
             grab: None,
             size: [0; 2],
             cursor: [0.0; 2],
-            dragging: false,
+            dragging: None,
+            pressed: [0.0; 2],
+            shift: false,
             captured: false,
             clicked: None,
             then: Instant::now(),
@@ -196,6 +267,14 @@ impl App {
         self.words.retain(|(text, _)| *text != what);
         self.words.push((what, Instant::now() + WORDS));
         self.linger = LINGER;
+    }
+
+    /// Says what draws, and why.
+    fn note(&mut self, what: String) {
+        self.noted = Instant::now();
+        if !self.notes.contains(&what) {
+            self.notes.push(what);
+        }
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: Error) {
@@ -220,17 +299,20 @@ impl App {
             (Device::Gpu | Device::AllGpus, Ok(_)) => Draws::Gpu(gpu_kernel()?),
             (Device::Auto, Ok(canvas)) if !canvas.device.is_software() => Draws::Gpu(gpu_kernel()?),
             (Device::Auto, Ok(canvas)) if kernel.is_none() => {
-                self.notes
-                    .push(format!("drawing on the cpu: the only adapter is software ({})", canvas.device.info.name));
+                self.note(format!("drawing on the cpu: the only adapter is software ({})", canvas.device.info.name));
                 Draws::Cpu
             }
             (Device::Auto, Ok(_)) => Draws::Gpu(gpu_kernel()?),
             (Device::Auto, Err(e)) if kernel.is_none() => {
-                self.notes.push(format!("drawing on the cpu: {e}"));
+                self.note(format!("drawing on the cpu: {e}"));
                 Draws::Cpu
             }
             (Device::Auto | Device::Gpu | Device::AllGpus, Err(e)) => return Err(Error::Device(e.to_string())),
         };
+        // Frames come late from a CPU, so fewer pixels while something moves.
+        if self.script.is_none() && self.settings.target_fps.is_none() && !matches!(self.draws, Draws::Gpu(_)) {
+            (self.panel.holds, self.panel.target_fps) = (true, 30.0);
+        }
         Ok(match canvas {
             Ok(canvas) => Surface::Gpu(Box::new(canvas)),
             Err(_) => Surface::Plain(Box::new(Plain::new(window)?)),
@@ -276,12 +358,13 @@ impl App {
         self.drawer = None;
         (self.drawn, self.map) = (None, None);
         self.panel.costs.clear();
-        let Some(world) = self.world.clone() else { return Ok(()) };
+        let preview = self.preview.as_ref().map(|(world, _)| world.clone());
+        let Some(world) = preview.or_else(|| self.world.clone()) else { return Ok(()) };
         let drawer = Drawer::new(world.clone(), self.draws, self.device());
         self.drawer = Some(match drawer {
             Err(e @ (Error::Limit(_) | Error::Device(_))) if matches!(self.draws, Draws::Gpu(_)) => {
                 self.device().map_or(Ok(()), crate::gpu::present::Device::check)?;
-                self.notes.push(format!("drawing on the cpu: {e}"));
+                self.note(format!("drawing on the cpu: {e}"));
                 self.draws = Draws::Cpu;
                 Drawer::new(world, self.draws, None)?
             }
@@ -294,9 +377,83 @@ impl App {
         Ok(())
     }
 
+    /// Takes another reading of the input that is there.
+    fn renew(&mut self, world: World, keeps: Keeps) -> Result<()> {
+        self.preview = None;
+        if let Some(old) = &self.world {
+            let [was, is] = [old.resident.dims[1], world.resident.dims[1]].map(f64::from);
+            if keeps == Keeps::Height && was > 0.0 {
+                self.control.pose.eye.y *= is / was;
+                self.control.target.y *= is / was;
+            }
+        }
+        if keeps == Keeps::Nothing {
+            let pose = self.good_view_of(&world);
+            self.control.target = tour::Subject::new(&world.scene).center();
+            self.control.place(pose);
+            self.ruler.places.clear();
+        }
+        (self.route, self.map) = (None, None);
+        self.world = Some(Arc::new(world));
+        self.make_drawer()?;
+        match self.again.take() {
+            Some(keeps) => self.reread(keeps),
+            None => Ok(()),
+        }
+    }
+
+    /// Reads the input that is there once more, as it is tuned.
+    fn reread(&mut self, keeps: Keeps) -> Result<()> {
+        let Some(world) = self.world.as_ref().filter(|w| w.encoded) else { return Ok(()) };
+        if self.opening.is_some() {
+            self.again = Some(keeps);
+            return Ok(());
+        }
+        let how = OpenOptions { read: self.tune.of(&self.settings.how.read), ..self.settings.how.clone() };
+        self.opening = Some(Opening::begin(&world.path, &how));
+        self.keeps = Some(keeps);
+        Ok(())
+    }
+
+    /// The input is wanted in another way.
+    fn tuned(&mut self, keeps: Keeps, of_threshold: bool) -> Result<()> {
+        self.linger = LINGER;
+        if let Some(threshold) = self.tune.threshold.filter(|_| of_threshold) {
+            let live = self.live.as_mut().is_some_and(|live| live.want(threshold));
+            if live {
+                // One that is on its way is of a threshold from before.
+                if self.keeps == Some(Keeps::All) {
+                    (self.opening, self.keeps, self.again) = (None, None, None);
+                }
+                self.settles = Some(Instant::now() + SETTLED);
+                return Ok(());
+            }
+        }
+        if keeps != Keeps::All || !of_threshold {
+            self.live = None;
+        }
+        self.reread(keeps)
+    }
+
+    /// The values of a volume are read for thresholds to come.
+    fn watch(&mut self) {
+        let Some(world) = self.world.as_ref().filter(|w| w.encoded) else { return };
+        if self.live.is_none() && matches!(world.about.kind, Some(Kind::Volume | Kind::Labels)) {
+            let how = OpenOptions { read: self.tune.of(&self.settings.how.read), ..self.settings.how.clone() };
+            self.live = Some(Live::begin(&world.path, &how));
+        }
+    }
+
     /// Goes into a world that was opened.
     fn enter(&mut self, world: World) -> Result<()> {
+        if let Some(keeps) = self.keeps.take() {
+            self.renew(world, keeps)?;
+            self.watch();
+            return Ok(());
+        }
         self.leave();
+        (self.tune, self.live, self.preview, self.settles, self.again) = Default::default();
+        self.ruler.places.clear();
         let first = self.world.is_none();
         let view = self.good_view_of(&world);
         let left = last::file().and_then(|file| last::recall(&file, &world.content_hash));
@@ -305,7 +462,7 @@ impl App {
         let is_typed = s.aim.is_given() || [s.yaw, s.pitch].iter().any(Option::is_some) || s.eye.is_some();
         let pose = match first && is_typed {
             true => {
-                let size = self.size.map(|n| n.max(1));
+                let size = self.area()[1];
                 s.aim.pose(typed, &world.scene, View { fov: s.fov, size, repeat: self.options.repeat })?
             }
             false => {
@@ -314,12 +471,23 @@ impl App {
             }
         };
         self.control = Control::new(pose, world.resident.dims);
+        self.control.target = tour::Subject::new(&world.scene).center();
+        self.control.set_mode(Mode::of(world.about.kind));
         (self.recorder, self.route, self.map) = (Recorder::default(), None, None);
         if let Some(screen) = &self.screen {
             screen.window.set_title(&format!("{} - planecast", world.name()));
         }
+        if !world.about.left_out.is_empty() {
+            self.say(format!("left out: {}", world.about.left_out.join("; ")));
+        }
+        // A list that is not kept is no reason to stay.
+        if let Some(Ok(list)) = last::recent_file().map(|file| last::opened(&file, &world.path)) {
+            self.recent = list;
+        }
         self.world = Some(Arc::new(world));
-        self.make_drawer()
+        self.make_drawer()?;
+        self.watch();
+        Ok(())
     }
 
     /// Remembers where the world was looked at.
@@ -334,7 +502,7 @@ impl App {
     }
 
     fn good_view_of(&self, world: &World) -> Pose {
-        let size = self.size.map(|n| n.max(1));
+        let size = self.area()[1];
         tour::still(&world.scene, View { fov: self.settings.fov, size, repeat: self.options.repeat })
     }
 
@@ -349,7 +517,7 @@ impl App {
         drop(surface);
         let surface = if self.losses.len() > LOSSES {
             self.draws = Draws::Cpu;
-            self.notes.push(format!("drawing on the cpu: {why}"));
+            self.note(format!("drawing on the cpu: {why}"));
             Surface::Plain(Box::new(Plain::new(&window)?))
         } else {
             self.surface(&window)?
@@ -363,6 +531,9 @@ impl App {
     /// What a key does once; keys that move are the control's.
     fn key(&mut self, event_loop: &ActiveEventLoop, code: &str, down: bool) {
         self.linger = LINGER;
+        if code.starts_with("Shift") {
+            self.shift = down;
+        }
         if self.control.key(code, down) {
             if down && matches!(self.recorder, Recorder::Playing { .. }) && code != "ShiftLeft" {
                 self.recorder = Recorder::Idle;
@@ -380,6 +551,21 @@ impl App {
             "KeyX" => self.wish(Wish::ErrorMap),
             "KeyC" => self.wish(Wish::CopyCommand),
             "Home" => self.wish(Wish::GoodView),
+            "KeyO" => self.wish(Wish::Browse),
+            "KeyN" => self.wish(Wish::Fault(1)),
+            "KeyB" => self.wish(Wish::Fault(-1)),
+            "KeyL" => {
+                self.ruler.on = !self.ruler.on;
+                self.say(if self.ruler.on {
+                    "click two places to measure between them (L ends it)"
+                } else {
+                    "measuring ends"
+                });
+                if !self.ruler.on {
+                    self.ruler.places.clear();
+                }
+                Ok(())
+            }
             "KeyG" => {
                 let next = Mode::ALL.iter().position(|m| *m == self.control.mode()).unwrap_or(0) + 1;
                 self.control.set_mode(Mode::ALL[next % Mode::ALL.len()]);
@@ -458,6 +644,24 @@ impl App {
     fn wish(&mut self, wish: Wish) -> Result<()> {
         self.linger = LINGER;
         match wish {
+            Wish::Browse => {
+                let latest = self.recent.first().and_then(|p| p.parent()).map(Path::to_owned);
+                self.panel.browser.show_folder(&latest.unwrap_or_else(|| PathBuf::from(".")));
+                Ok(())
+            }
+            Wish::Open(path) => {
+                self.dropped(&path);
+                Ok(())
+            }
+            Wish::Tuned(keeps) => self.tuned(keeps, false),
+            Wish::Threshold => self.tuned(Keeps::All, true),
+            Wish::Fault(step) => {
+                if let Some(done) = self.map.as_mut().and_then(|m| m.done.as_mut()).filter(|d| !d.faults.is_empty()) {
+                    let n = done.faults.len() as i64;
+                    done.at = (done.at as i64 + i64::from(step)).rem_euclid(n) as usize;
+                }
+                Ok(())
+            }
             Wish::Draw(draws) => {
                 self.draws = draws;
                 self.notes.clear();
@@ -500,6 +704,7 @@ impl App {
             Wish::GoodView => {
                 if let Some(world) = self.world.clone() {
                     let pose = self.good_view_of(&world);
+                    self.control.target = tour::Subject::new(&world.scene).center();
                     self.control.place(pose);
                 }
                 Ok(())
@@ -538,16 +743,19 @@ impl App {
     }
 
     fn shot_size(&self) -> [u32; 2] {
-        self.panel.screenshot_size.unwrap_or(self.size.map(|n| n.max(1)))
+        self.panel.screenshot_size.unwrap_or(self.area()[1])
     }
 
     /// The command that draws this view.
     fn command(&self, size: [u32; 2]) -> String {
-        let scene = self.world.as_ref().map_or(PathBuf::from("SCENE"), |w| w.scene_file());
+        let scene = match &self.world {
+            Some(world) if self.tune != Tune::default() => format!("{} {}", quoted(&world.path), self.tune.flags()),
+            Some(world) => quoted(&world.scene_file()),
+            None => "SCENE".to_owned(),
+        };
         let flags = self.draws.options(&self.options).flags();
         let text = format!(
-            "planecast render {} -o view.png {} --size {}x{} {} {flags}",
-            quoted(&scene),
+            "planecast render {scene} -o view.png {} --size {}x{} {} {flags}",
             pose_flags(&self.control.pose),
             size[0],
             size[1],
@@ -594,30 +802,104 @@ impl App {
         Ok(())
     }
 
+    /// The first pixel of the window that the picture takes, and how many a side.
+    fn area(&self) -> [[u32; 2]; 2] {
+        let [width, height] = self.size.map(|n| n.max(1));
+        let panel = (f64::from(panel::WIDTH) * self.scale).round() as u32;
+        let drawn = matches!(self.screen.as_ref().map(|s| &s.surface), Some(Surface::Gpu(_)));
+        match self.panel.open && drawn && width >= 2 * panel {
+            true => [[panel, 0], [width - panel, height]],
+            false => [[0; 2], [width, height]],
+        }
+    }
+
     /// Camera and options of a frame of the window, as the frame rate allows.
     fn view(&self) -> (Camera, Options) {
-        let size = self.size.map(|n| n.max(1));
-        let (size, options) = match &self.pace {
+        let size = self.area()[1];
+        let (size, mut options) = match &self.pace {
+            _ if self.refined => (size, Preset::Best.options(self.options)),
             Some(pace) => (pace.size(size), pace.options(self.options)),
             None => (size, self.options),
         };
-        (self.control.pose.camera(size), options)
+        let mut camera = self.control.pose.camera(size);
+        if let Some((_, level)) = self.preview {
+            // In the voxels of the world that is drawn.
+            let voxel = f64::from(1u32 << level);
+            camera.eye /= voxel;
+            options.view_distance /= voxel;
+            options.fog = options.fog.map(|fog| fog / voxel);
+            options.equidistant = options.equidistant.map(|from| from / voxel);
+        }
+        (camera, options)
     }
 
-    fn double_click(&mut self, [x, y]: [f64; 2]) {
-        let Some(world) = &self.world else { return };
-        let camera = self.control.pose.camera(self.size.map(|n| n.max(1)));
-        let ray = camera.ray(&camera.basis(), x, y).normalize_or_zero();
-        let repeats = [self.options.repeat.x, self.options.repeat.z];
-        let far = self.options.view_distance.min(1e7);
+    /// What the ray through a pixel of the window meets: how far from the eye, which voxel, where.
+    fn pick(&self, [x, y]: [f64; 2]) -> Option<(DVec3, exact::Hit)> {
+        let world = self.world.as_ref()?;
+        let [at, size] = self.area();
+        let camera = self.control.pose.camera(size);
+        let ray = camera.ray(&camera.basis(), x - f64::from(at[0]), y - f64::from(at[1])).normalize_or_zero();
         let eye = self.control.pose.eye;
         if !eye.is_finite() || ray == DVec3::ZERO {
-            return;
+            return None;
         }
-        match exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, far) {
-            Some(hit) => self.control.fly_to(ray, hit.t),
+        let repeats = [self.options.repeat.x, self.options.repeat.z];
+        let far = self.options.view_distance.min(1e7);
+        Some((ray, exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, far)?))
+    }
+
+    fn in_area(&self, [x, y]: [f64; 2]) -> bool {
+        let [at, size] = self.area();
+        let within = |v: f64, at: u32, n: u32| v >= f64::from(at) && v < f64::from(at + n);
+        within(x, at[0], size[0]) && within(y, at[1], size[1])
+    }
+
+    fn double_click(&mut self, at: [f64; 2]) {
+        match self.pick(at) {
+            Some((ray, hit)) => self.control.fly_to(ray, hit.t),
             None => self.say("nothing but sky there"),
         }
+    }
+
+    /// A click, where the mouse did not move in between.
+    fn click(&mut self, at: [f64; 2]) {
+        if !self.ruler.on {
+            return;
+        }
+        match self.pick(at) {
+            Some((ray, hit)) => self.ruler.take(self.control.pose.eye + ray * hit.t),
+            None => self.say("nothing but sky there"),
+        }
+        let (Some(world), [from, to]) = (&self.world, &self.ruler.places[..]) else { return };
+        self.say(overlay::measured(&world.about, *from, *to));
+    }
+
+    /// The mouse moved so many pixels with a button down.
+    fn drag(&mut self, button: MouseButton, dx: f64, dy: f64) {
+        self.linger = LINGER;
+        if button == MouseButton::Left && !self.shift {
+            self.control.look(dx, dy);
+        } else {
+            self.control.pan(dx, dy, f64::from(self.area()[1][1]));
+        }
+    }
+
+    /// Looks what is under the mouse and straight ahead.
+    fn look_about(&mut self) {
+        let [at, size] = self.area();
+        let middle = [0, 1].map(|k| f64::from(at[k]) + f64::from(size[k]) / 2.0);
+        self.ahead = match self.pick(middle) {
+            Some((_, hit)) => Some(hit.t),
+            None => {
+                self.control.mode().eq(&Mode::Orbit).then(|| (self.control.target - self.control.pose.eye).length())
+            }
+        };
+        let pick = self.in_area(self.cursor).then(|| self.pick(self.cursor)).flatten();
+        self.hover = pick.zip(self.world.as_ref()).map(|((ray, hit), world)| {
+            let voxel = hit.voxel.map(|v| v.max(0) as u32);
+            let value = self.live.as_ref().and_then(|live| live.grid.as_ref()?.at(voxel));
+            overlay::place(&world.about, voxel, self.control.pose.eye + ray * hit.t, value)
+        });
     }
 
     fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> Result<()> {
@@ -631,6 +913,27 @@ impl App {
             Action::Look([dx, dy]) => self.control.look(dx, dy),
             Action::Wheel(notches) => self.control.wheel(notches),
             Action::DoubleClick(at) => self.double_click(at),
+            Action::Click(at) => {
+                self.cursor = at;
+                self.click(at);
+            }
+            Action::Hover(at) => self.cursor = at,
+            Action::Drag { from, to } => {
+                self.cursor = to;
+                self.drag(MouseButton::Left, to[0] - from[0], to[1] - from[1]);
+            }
+            Action::Tune(tune) => {
+                let keeps = match (&tune.up, tune.as_is, tune.exaggeration) {
+                    (None, None, None) => Keeps::All,
+                    (None, None, Some(_)) => Keeps::Height,
+                    _ => Keeps::Nothing,
+                };
+                let of_threshold = tune.threshold.is_some() && keeps == Keeps::All && tune.ramp.is_none();
+                self.tune.take(tune);
+                self.tuned(keeps, of_threshold)?;
+            }
+            Action::Refine(on) => self.panel.refines = on,
+            Action::Wait {} => self.awaited = Some((Awaited::Reading, Instant::now())),
             Action::Resize([0, 0]) => self.resized([0, 0]),
             Action::Resize(size) => {
                 let Some(screen) = &self.screen else { return Ok(()) };
@@ -653,7 +956,11 @@ impl App {
                 };
                 let figures = serde_json::json!({
                     "stats": self.panel.stats, "present_ms": present, "present": way, "shown_fps": self.panel.fps,
-                    "words": self.lines(), "window": self.size, "scale": self.scale, "surfaces_renewed": renewed,
+                    "words": self.all_words(), "window": self.size, "scale": self.scale, "surfaces_renewed": renewed,
+                    "mode": self.control.mode().name(), "updates_per_second": self.live.as_mut().map(Live::rate),
+                    "threshold": self.tune.threshold, "hover": self.hover, "refined": self.refined,
+                    "preview": self.preview.as_ref().map(|p| p.1),
+                    "faults": self.map.as_ref().and_then(|m| Some(m.done.as_ref()?.faults.len())),
                 });
                 output::write(&path, |out| output::json(out, &figures))?.finish()?;
             }
@@ -690,7 +997,7 @@ impl App {
     /// The window goes, and all that is on the device with it.
     fn suspend(&mut self) {
         self.control.release();
-        (self.dragging, self.captured) = (false, false);
+        (self.dragging, self.captured, self.shift) = (None, false, false);
         (self.drawer, self.drawn, self.map, self.screen) = (None, None, None, None);
     }
 
@@ -705,6 +1012,7 @@ impl App {
 
     fn dropped(&mut self, path: &Path) {
         self.opening = Some(Opening::begin(path, &self.settings.how));
+        (self.keeps, self.again, self.settles) = (None, None, None);
         self.linger = LINGER;
     }
 
@@ -716,25 +1024,44 @@ impl App {
         }
     }
 
+    /// All that there is to say, whether the screen has it still or not.
+    fn all_words(&self) -> Vec<String> {
+        let mut words = self.notes.clone();
+        words.extend(self.pace.as_ref().map(Pace::describe));
+        words.extend(self.lines().into_iter().filter(|line| !self.notes.contains(line)));
+        words
+    }
+
     /// Lines on the screen.
     fn lines(&self) -> Vec<String> {
-        let mut lines = self.notes.clone();
-        lines.extend(self.pace.as_ref().map(Pace::describe));
+        let mut lines = if self.noted.elapsed() < NOTES { self.notes.clone() } else { Vec::new() };
+        if self.is_inside() {
+            lines.push("inside the ground: all that is seen is one voxel (Home leads out)".into());
+        }
         match &self.recorder {
             Recorder::Recording { t, .. } => lines.push(format!("recording, {t:.1} s (R stops)")),
             Recorder::Playing { t } => lines.push(format!("playing, {t:.1} s")),
             Recorder::Idle => {}
         }
-        if let Some((_, text)) = self.map.as_ref().and_then(|m| m.done.as_ref()) {
-            lines.push(text.clone());
+        if let Some(done) = self.map.as_ref().and_then(|m| m.done.as_ref()) {
+            lines.push(done.text.clone());
         }
         if let Some(opening) = &self.opening {
-            lines.push(format!("opening {}", opening.path.display()));
+            if self.keeps.is_none() {
+                lines.push(format!("opening {}", opening.path.display()));
+            }
         } else if self.world.is_none() {
             lines.push("drop a scene file here, or anything that planecast encode reads".into());
         }
         lines.extend(self.words.iter().map(|(text, _)| text.clone()));
         lines
+    }
+
+    /// Whether the eye is in a solid voxel.
+    fn is_inside(&self) -> bool {
+        let Some(world) = &self.world else { return false };
+        let [x, y, z] = self.control.pose.eye.floor().to_array().map(|v| v as i64);
+        Ground::new(&world.scene.levels[0].solid, self.options.repeat).solid(x, y, z)
     }
 
     /// Whether the next frame should be drawn at once.
@@ -748,6 +1075,8 @@ impl App {
             || self.control.is_moving()
             || !matches!(self.recorder, Recorder::Idle)
             || self.map.as_ref().is_some_and(|m| m.done.is_none())
+            || self.live.as_ref().is_some_and(|live| live.waits)
+            || self.settles.is_some()
     }
 
     /// What came of worlds and references that others work on.
@@ -761,17 +1090,35 @@ impl App {
                 Err(e) => self.say(e.to_string()),
             }
         }
+        if let Some(made) = self.live.as_mut().and_then(Live::poll) {
+            let made = made?;
+            let rate = self.live.as_mut().map_or(0, Live::rate);
+            let part = if made.level == 0 { String::new() } else { format!(" at 1 : {}", 1 << made.level) };
+            self.words.retain(|(text, _)| !text.starts_with("threshold "));
+            self.say(format!(
+                "threshold {:.6}: {rate} updates in the last second{part}, {:.0} ms each",
+                made.threshold, made.ms
+            ));
+            self.preview = Some((made.world, made.level));
+            self.make_drawer()?;
+        }
+        if self.settles.is_some_and(|t| t <= Instant::now()) && self.live.as_ref().is_none_or(|live| !live.waits) {
+            self.settles = None;
+            self.reread(Keeps::All)?;
+        }
         let Some(map) = &mut self.map else { return Ok(()) };
         if map.done.is_none()
             && let Ok(exact) = map.exact.try_recv()
         {
-            let (picture, agreement) = error_map(&map.frame, &exact?);
+            let exact = exact?;
+            let (picture, agreement) = error_map(&map.frame, &exact);
             let text = format!(
                 "{:.3} % of the pixels show exactly the same voxel, {:.3} % one within a pixel; {LEGEND}",
                 agreement.same_percent(),
                 agreement.near_percent()
             );
-            map.done = Some((picture, text));
+            let (picture, faults) = enlarged(&picture, exact.width as usize);
+            map.done = Some(Compared { picture, text, exact, faults, at: 0 });
             self.linger = LINGER;
         }
         Ok(())
@@ -798,6 +1145,16 @@ impl App {
         if self.control.pose != before {
             self.linger = LINGER;
         }
+        let seen = (self.control.pose, self.options, self.size);
+        if self.seen != seen || self.preview.is_some() || self.dragging.is_some() {
+            (self.seen, self.rests, self.refined) = (seen, now, false);
+        } else if self.panel.refines && !self.refined && now - self.rests >= REST {
+            (self.refined, self.linger) = (true, LINGER);
+        }
+        self.refined &= self.panel.refines && matches!(self.recorder, Recorder::Idle);
+        if self.linger > 0 {
+            self.look_about();
+        }
         match (self.panel.holds, &self.pace) {
             (true, Some(pace)) if (pace.budget_ms() - 1e3 / self.panel.target_fps).abs() < 1e-6 => {}
             (true, _) => self.pace = Some(Pace::new(self.panel.target_fps)),
@@ -818,14 +1175,19 @@ impl App {
         let here = match awaited {
             Awaited::Size(size) => self.size == size,
             Awaited::Scale(scale) => self.scale == scale,
+            Awaited::Reading => {
+                let live = self.live.as_ref().is_none_or(|live| live.read && !live.waits);
+                live && self.settles.is_none() && self.opening.is_none()
+            }
         };
         if here {
             self.awaited = None;
-        } else if since.elapsed() > PATIENCE {
+        } else if since.elapsed() > PATIENCE && !matches!(awaited, Awaited::Reading) || since.elapsed() > 6 * PATIENCE {
             let ([w, h], scale) = (self.size, self.scale);
             return Err(Error::Limit(match awaited {
                 Awaited::Size([x, y]) => format!("the window is {w} × {h} and did not become {x} × {y}"),
                 Awaited::Scale(other) => format!("a point is {scale} pixels wide and did not become {other}"),
+                Awaited::Reading => "the input was not read as it was wanted".to_owned(),
             }));
         }
         Ok(())
@@ -880,7 +1242,7 @@ impl App {
                 Err(Error::Limit(what)) if matches!(self.draws, Draws::Gpu(_)) => {
                     self.draws = Draws::Cpu;
                     self.make_drawer()?;
-                    self.notes.push(format!("drawing on the cpu: {what}"));
+                    self.note(format!("drawing on the cpu: {what}"));
                     return self.draw();
                 }
                 Err(Error::Argument(what) | Error::Limit(what)) => self.say(what),
@@ -904,6 +1266,7 @@ impl App {
         self.panel.cost(Cost { stages, present });
         self.panel.stats = stats;
         if let Some(pace) = &mut self.pace
+            && !self.refined
             && pace.frame(stages.total + present)
         {
             self.linger = LINGER;
@@ -913,12 +1276,16 @@ impl App {
     fn show(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
         let lines = self.lines();
         let device = self.device_name();
+        let [at, area] = self.area();
+        let values =
+            self.live.as_ref().and_then(|live| live.grid.as_ref()).and_then(|g| Some((g.range()?, g.histogram(BARS))));
+        let faults = self.map.as_ref().and_then(|m| m.done.as_ref()).map_or([0; 2], |d| [d.faults.len(), d.at]);
         let gpu = self.device().is_some();
-        let progress = self.opening.as_ref().map(Opening::progress).filter(|p| *p > 0.0);
+        let progress = self.opening.as_ref().map(Opening::progress).filter(|p| *p > 0.0 && self.keeps.is_none());
         let Some(screen) = &mut self.screen else { return Ok(()) };
         let size = self.size;
         let map = self.map.as_ref().and_then(|m| m.done.as_ref());
-        let here = map.map(|(picture, _)| picture.as_slice()).or(self.pixels.as_ref().map(|f| f.color.as_slice()));
+        let here = map.map(|done| done.picture.as_slice()).or(self.pixels.as_ref().map(|f| f.color.as_slice()));
         let picture_size = match (&map, &self.pixels, &self.drawn) {
             (Some(_), _, Some((camera, ..))) => [camera.width, camera.height],
             (None, Some(frame), _) => [frame.width, frame.height],
@@ -929,7 +1296,8 @@ impl App {
             Surface::Gpu(canvas) => canvas,
             Surface::Plain(plain) => {
                 // There is no panel here: what there is to say goes to the title.
-                screen.window.set_title(&format!("planecast - {}", lines.join(" - ")));
+                let said = self.notes.iter().chain(lines.iter().filter(|line| !self.notes.contains(line)));
+                screen.window.set_title(&format!("planecast - {}", said.cloned().collect::<Vec<_>>().join(" - ")));
                 if let Some(pixels) = here {
                     let mut grabbed = Vec::new();
                     plain.show(pixels, picture_size, size, self.grab.as_ref().map(|_| &mut grabbed))?;
@@ -943,6 +1311,7 @@ impl App {
         canvas.resize(size);
         canvas.set_vsync(self.panel.vsync);
         let input = screen.egui.take_egui_input(&screen.window);
+        let (mut ruler, pose) = (self.ruler.clone(), self.control.pose);
         let mut subject = Subject {
             world: self.world.as_deref(),
             control: &mut self.control,
@@ -955,8 +1324,34 @@ impl App {
             recording: matches!(self.recorder, Recorder::Recording { .. }),
             playable: self.route.is_some(),
             error_map: self.map.is_some(),
+            faults,
+            notes: &self.notes,
+            pace: self.pace.as_ref().map(Pace::describe),
+            recent: &self.recent,
+            tune: &mut self.tune,
+            values,
+            ruler: &mut ruler,
+            beside: at[0] > 0,
         };
-        let (egui, wishes) = panel::run(&screen.ctx, input, &mut self.panel, &mut subject);
+        let points = |n: u32| n as f32 / screen.window.scale_factor() as f32;
+        let min = egui::pos2(points(at[0]), points(at[1]));
+        let fault = self.map.as_ref().and_then(|m| {
+            let done = m.done.as_ref()?;
+            let size = [m.frame.width, m.frame.height];
+            Some(Fault { at: *done.faults.get(done.at)?, size, frame: &m.frame.color, exact: &done.exact.color })
+        });
+        let overlay =
+            self.world.as_ref().filter(|_| self.panel.open || self.ruler.on || fault.is_some()).map(|world| Overlay {
+                pose,
+                about: &world.about,
+                area: egui::Rect::from_min_size(min, egui::vec2(points(area[0]), points(area[1]))),
+                distance: self.ahead,
+                hover: self.hover.clone(),
+                ruler: &self.ruler,
+                fault,
+            });
+        let (egui, wishes) = panel::run(&screen.ctx, input, &mut self.panel, &mut subject, overlay.as_ref());
+        self.ruler.on = ruler.on;
         screen.egui.handle_platform_output_with_event_loop(&screen.window, event_loop, egui.platform_output);
         let mut painting = Painting {
             textures: egui.textures_delta,
@@ -973,7 +1368,7 @@ impl App {
         let mut grabbed = Vec::new();
         let grab = self.grab.as_ref().map(|_| &mut grabbed);
         let surface = canvas.size();
-        let shown = canvas.show(&screen.window, picture, picture_size, &mut painting, grab);
+        let shown = canvas.show(&screen.window, picture, [at, area, picture_size], &mut painting, grab);
         // What could not be shown must be uploaded nowhere.
         painting.textures.clear();
         canvas.device.check()?;
@@ -1073,7 +1468,7 @@ impl ApplicationHandler for App {
             }
             WindowEvent::Focused(false) => {
                 self.control.release();
-                self.dragging = false;
+                (self.dragging, self.shift) = (None, false);
                 self.capture(false);
             }
             WindowEvent::KeyboardInput { event, is_synthetic: false, .. } if !taken => {
@@ -1084,33 +1479,45 @@ impl ApplicationHandler for App {
                     self.key(event_loop, &format!("{code:?}"), down);
                 }
             }
-            WindowEvent::MouseInput { state, button: MouseButton::Left | MouseButton::Right, .. } => {
-                let down = state == ElementState::Pressed && !taken;
-                self.dragging = down;
-                if down {
-                    let now = Instant::now();
-                    let near = |at: [f64; 2]| (0..2).all(|i| (at[i] - self.cursor[i]).abs() < DOUBLE.1);
-                    match self.clicked.take() {
-                        Some((then, at)) if now - then < DOUBLE.0 && near(at) => self.double_click(self.cursor),
-                        _ => self.clicked = Some((now, self.cursor)),
+            WindowEvent::MouseInput { state: ElementState::Pressed, button, .. } if !taken => {
+                self.dragging = Some(button);
+                self.pressed = self.cursor;
+                let now = Instant::now();
+                let near = |at: [f64; 2]| (0..2).all(|i| (at[i] - self.cursor[i]).abs() < DOUBLE.1);
+                match self.clicked.take() {
+                    Some((then, at)) if now - then < DOUBLE.0 && near(at) && !self.ruler.on => {
+                        self.double_click(self.cursor);
                     }
+                    _ => self.clicked = Some((now, self.cursor)),
                 }
+            }
+            WindowEvent::MouseInput { state: ElementState::Released, button, .. } => {
+                let still = (0..2).all(|i| (self.pressed[i] - self.cursor[i]).abs() < CLICK);
+                if self.dragging.take() == Some(button) && button == MouseButton::Left && still {
+                    self.click(self.cursor);
+                }
+                self.linger = LINGER;
             }
             WindowEvent::CursorMoved { position, .. } => {
                 let at = [position.x, position.y];
-                if self.dragging && !self.captured {
-                    self.control.look(at[0] - self.cursor[0], at[1] - self.cursor[1]);
-                    self.linger = LINGER;
+                if let Some(button) = self.dragging.filter(|_| !self.captured) {
+                    self.drag(button, at[0] - self.cursor[0], at[1] - self.cursor[1]);
                 }
                 self.cursor = at;
+                // What is under it is said.
+                self.linger = self.linger.max(2);
             }
+            WindowEvent::CursorLeft { .. } => self.cursor = [-1.0; 2],
             WindowEvent::MouseWheel { delta, .. } if !taken => {
                 let notches = match delta {
                     MouseScrollDelta::LineDelta(_, y) => f64::from(y),
                     MouseScrollDelta::PixelDelta(p) => p.y / 50.0,
                 };
                 self.control.wheel(notches);
-                self.say(format!("{:.1} voxels a second", self.control.speed));
+                self.linger = LINGER;
+                if self.control.mode() != Mode::Orbit {
+                    self.say(format!("{:.1} voxels a second", self.control.speed));
+                }
             }
             WindowEvent::DroppedFile(path) => self.dropped(&path),
             WindowEvent::Occluded(occluded) => self.set_occluded(occluded),
@@ -1144,7 +1551,9 @@ impl ApplicationHandler for App {
         }
         self.then = now;
         let words = self.words.iter().map(|w| w.1).min();
-        match [self.repaint_at, words].into_iter().flatten().min() {
+        let noted = (!self.notes.is_empty()).then_some(self.noted + NOTES).filter(|t| *t > now);
+        let rests = (self.panel.refines && !self.refined && self.world.is_some()).then_some(self.rests + REST);
+        match [self.repaint_at, words, noted, rests].into_iter().flatten().min() {
             Some(t) => event_loop.set_control_flow(ControlFlow::WaitUntil(t)),
             None => event_loop.set_control_flow(ControlFlow::Wait),
         }

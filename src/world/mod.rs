@@ -9,7 +9,7 @@ use std::sync::Arc;
 use planecast_encoder::encode::memory;
 use planecast_encoder::inspect::info::{self, ByteCounts};
 use planecast_encoder::source::{self, ReadOptions};
-use planecast_encoder::{Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
+use planecast_encoder::{About, Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
 
 use crate::frame::specialize::Features;
 use crate::world::tables::Resident;
@@ -34,6 +34,10 @@ pub struct World {
     pub content_hash: String,
     /// Bytes of the scene file by section.
     pub bytes: ByteCounts,
+    /// What the input is, and how it was read.
+    pub about: About,
+    /// Facts about the reading of an input.
+    pub notes: Vec<String>,
 }
 
 /// How a file is opened.
@@ -78,7 +82,17 @@ impl World {
         };
         let resident = Arc::new(Resident::try_with(&scene, specialize)?);
         let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
-        Ok(World { path: path.to_owned(), encoded, scene: Arc::new(scene), resident, content_hash, bytes })
+        let (about, notes) = (file.about().clone(), Vec::new());
+        Ok(World {
+            path: path.to_owned(),
+            encoded,
+            scene: Arc::new(scene),
+            resident,
+            content_hash,
+            bytes,
+            about,
+            notes,
+        })
     }
 
     /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
@@ -86,7 +100,7 @@ impl World {
         if is_scene(&bytes) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
             return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false, Features::ALL);
         }
-        let input = source::read(name, &bytes, &Default::default())?;
+        let input = source::read(name, &bytes, &ReadOptions { show: true, ..ReadOptions::default() })?;
         World::of_input(name, input)
     }
 
@@ -94,8 +108,9 @@ impl World {
     pub fn of_input(name: &Path, input: Input) -> Result<World> {
         let scene = planecast_encoder::build(input, &Default::default())?;
         let resident = Arc::new(Resident::try_with(&scene, Features::ALL)?);
-        let (content_hash, bytes) = Default::default();
-        Ok(World { path: name.to_owned(), encoded: true, scene: Arc::new(scene), resident, content_hash, bytes })
+        let (content_hash, bytes, about, notes) = Default::default();
+        let scene = Arc::new(scene);
+        Ok(World { path: name.to_owned(), encoded: true, scene, resident, content_hash, bytes, about, notes })
     }
 
     /// A height field from memory: `heights[z · nx + x]` voxels from the ground up, 0 for an empty column.
@@ -154,9 +169,12 @@ impl World {
     /// stops it.
     #[cfg(not(target_arch = "wasm32"))]
     pub fn open_with(path: &Path, how: &OpenOptions, watch: &Watch) -> Result<World> {
-        let opened = planecast_encoder::encode::open::open(path, &how.read, watch, &mut |_| {})?;
+        let mut notes = Vec::new();
+        let opened =
+            planecast_encoder::encode::open::open(path, &how.read, watch, &mut |of| notes = of.notes().to_vec())?;
         let skip_broken = how.skip_broken && !opened.encoded;
-        World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)
+        let world = World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)?;
+        Ok(World { notes, ..world })
     }
 
     /// What [`planecast_encoder::encode::open::open`] found at `path`.

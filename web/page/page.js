@@ -1,7 +1,8 @@
 // Events, files and words of the page; scene, camera and kernels are in planecast_web.wasm, and once more in worker.js, where
 // files are read.
 //
-// Address: ?scene=URL opens that file in place of the demo; ?device=cpu draws without WebGPU; ?size=WxH fixes the picture.
+// Address: ?scene=URL opens that file in place of the demo; ?device=cpu draws without WebGPU, ?device=gpu with it even where it is
+// software; ?size=WxH fixes the picture. #eye=X,Y,Z&yaw=D&pitch=D&roll=D&mode=NAME is the view, and follows it.
 import init, { Page } from "./planecast_web.js";
 
 const element = (id) => document.getElementById(id);
@@ -39,6 +40,13 @@ function wrong(what, error) {
 
 const NEEDS = "WebGPU is in Chrome and Edge 113 and later, Safari 26, and Firefox 141 on Windows";
 
+/** Whether an adapter is software. */
+function isSoftware(found) {
+  const { vendor, architecture, device, description, isFallbackAdapter } = found.info;
+  return Boolean(isFallbackAdapter ?? found.isFallbackAdapter)
+    || /swiftshader|llvmpipe|lavapipe|software|basic render|warp/i.test([vendor, architecture, device, description].join(" "));
+}
+
 async function open() {
   if (asked.get("device") === "cpu") {
     say("Drawing on the CPU, one thread, as the address asks for.");
@@ -47,8 +55,11 @@ async function open() {
       ? `This browser has no WebGPU: drawing on the CPU, one thread, with fewer pixels. ${NEEDS}.`
       : "WebGPU needs a secure page (https, or http://localhost): drawing on the CPU, one thread, with fewer pixels.");
   } else {
-    const found = await navigator.gpu.requestAdapter();
-    if (found) {
+    const found = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
+    // As on the desktop: software that plays a GPU is slower than the CPU's own kernels, so it draws only where it is asked for.
+    if (found && isSoftware(found) && asked.get("device") !== "gpu") {
+      say("WebGPU has only a software adapter here: drawing on the CPU, one thread, with fewer pixels.");
+    } else if (found) {
       gpu = true;
       const { description, vendor, architecture } = found.info;
       adapter = description || `WebGPU, ${vendor} ${architecture}`;
@@ -184,7 +195,7 @@ async function fetchRange(url, from, to) {
 const lengthIn = (answer) => Number(answer.headers.get("content-range")?.match(/\/(\d+)$/)?.[1]) || undefined;
 
 /** Opens a file by its address: scene files in ranges of bytes, coarse levels first, where the server gives such. */
-async function loadFrom(url) {
+async function loadFrom(url, view = "") {
   const name = nameOf(url);
   return opening(name, async (reads, show) => {
     say(`${url}: asking for it`);
@@ -196,6 +207,7 @@ async function loadFrom(url) {
       const why = isScene ? "the server gives no parts of files, so all of it was fetched first" : "";
       fetched = { bytes: head.length, of: head.length, ranges: false };
       show(await reads.ask("read", name, head), 0, false);
+      goToView(view);
       return why && `${url}: ${why}`;
     }
     await reads.ask("open", name, head, lengthIn(first));
@@ -217,6 +229,7 @@ async function loadFrom(url) {
         // So that what there is can be seen before more of it is.
         if (shown !== null) await untilSeen();
         show(bytes, state.level, shown !== null);
+        if (shown === null) goToView(view);
         shown = state.level;
       }
       if (state.wanted.length === 0) break;
@@ -282,6 +295,7 @@ function tick(now) {
   }
   while (now - shown[0] > 1000) shown.shift();
   if (scene && element("panel").open) figures();
+  if (scene && seen && !asked.has("size")) keepView(now);
 }
 
 function paint() {
@@ -307,25 +321,104 @@ function figures() {
   ].join("\n");
 }
 
+/** What keys do here: Ctrl with W, T or N closes tabs and opens windows, so C goes down in its place. */
+const keyOf = (code) => (code === "KeyC" ? "ControlLeft" : code.startsWith("Control") ? "" : code);
+
+/** Mouse and fingers: one looks or turns, two move across the picture and pinch, the right button moves. */
+function pointers() {
+  const down = new Map();
+  const middle = () => {
+    const [a, b] = [...down.values()];
+    return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, apart: Math.hypot(a.x - b.x, a.y - b.y) };
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    canvas.focus();
+    down.set(event.pointerId, { x: event.clientX, y: event.clientY, button: event.button });
+  });
+  const up = (event) => { down.delete(event.pointerId); };
+  canvas.addEventListener("pointerup", up);
+  canvas.addEventListener("pointercancel", up);
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("pointermove", (event) => {
+    if (!page || broken) return;
+    if (document.pointerLockElement === canvas) { page.look(event.movementX, event.movementY); return; }
+    const last = down.get(event.pointerId);
+    if (!last) return;
+    const before = down.size === 2 ? middle() : null;
+    const [dx, dy] = [event.clientX - last.x, event.clientY - last.y];
+    Object.assign(last, { x: event.clientX, y: event.clientY });
+    const pixels = canvas.height / canvas.clientHeight;
+    if (before) {
+      const after = middle();
+      page.pan((after.x - before.x) * pixels, (after.y - before.y) * pixels);
+      // A notch of the wheel brings an eighth nearer.
+      if (before.apart > 0 && after.apart > 0) page.nearer(Math.log(after.apart / before.apart) / -Math.log(0.88));
+    } else if (down.size === 1) {
+      if (last.button === 2 || event.shiftKey) page.pan(dx * pixels, dy * pixels); else page.look(dx, dy);
+    }
+  });
+}
+
+/** Fingers that hold a key of the panel's. */
+function held() {
+  for (const button of document.querySelectorAll("[data-key]")) {
+    const key = (down) => (event) => { event.preventDefault(); if (page && !broken) page.key(button.dataset.key, down); };
+    button.addEventListener("pointerdown", key(true));
+    for (const end of ["pointerup", "pointerleave", "pointercancel"]) button.addEventListener(end, key(false));
+  }
+}
+
+/** The view in the address, once it rests. */
+let shownView = "";
+function keepView(now) {
+  const p = JSON.parse(page.pose());
+  const short = (v) => `${Number(v.toFixed(3))}`;
+  const view = `#eye=${p.eye.map(short).join(",")}&yaw=${short(p.yaw)}&pitch=${short(p.pitch)}&roll=${short(p.roll)}&mode=${p.mode}`;
+  if (view !== keepView.last) { keepView.last = view; keepView.since = now; }
+  if (view !== shownView && now - keepView.since > 400) {
+    shownView = view;
+    history.replaceState(null, "", view.replaceAll(" ", "%20"));
+  }
+}
+
+/** Goes to the view that the address has. */
+function goToView(hash) {
+  const view = new URLSearchParams(decodeURIComponent(hash.slice(1)));
+  if (!view.has("eye")) return;
+  const number = (name) => Number(view.get(name) ?? 0);
+  const eye = new Float64Array(view.get("eye").split(",").map(Number));
+  if (!page.place(eye, number("yaw"), number("pitch"), number("roll"), view.get("mode") ?? "")) say("the address has no view that can be gone to");
+}
+
+/** The picture as a file. */
+async function screenshot() {
+  const bytes = await planecast.picture();
+  if (!bytes) return;
+  const [width, height] = [canvas.width, canvas.height];
+  const sheet = document.createElement("canvas");
+  [sheet.width, sheet.height] = [width, height];
+  sheet.getContext("2d").putImageData(new ImageData(new Uint8ClampedArray(bytes), width, height), 0, 0);
+  const link = document.createElement("a");
+  link.href = sheet.toDataURL("image/png");
+  link.download = `${scene.name.replace(/\.[^.]*$/, "")}-view.png`;
+  link.click();
+}
+
 function events() {
-  let dragging = false;
   const typing = (event) => event.target instanceof HTMLInputElement && event.target.type !== "checkbox";
   addEventListener("keydown", (event) => {
-    if (!page || broken || typing(event) || event.metaKey || event.altKey) return;
+    if (!page || broken || typing(event) || event.metaKey || event.altKey || event.ctrlKey) return;
     if (event.code === "KeyM") canvas.requestPointerLock?.();
-    if (page.key(event.code, true)) event.preventDefault();
+    if (event.code === "F12") return;
+    if (event.code === "KeyP") screenshot();
+    if (page.key(keyOf(event.code), true)) event.preventDefault();
   });
-  addEventListener("keyup", (event) => { if (page && !broken) page.key(event.code, false); });
+  addEventListener("keyup", (event) => { if (page && !broken) page.key(keyOf(event.code), false); });
   addEventListener("blur", () => { if (page && !broken) page.release(); });
-  canvas.addEventListener("pointerdown", (event) => { dragging = true; canvas.setPointerCapture(event.pointerId); canvas.focus(); });
-  canvas.addEventListener("pointerup", () => { dragging = false; });
-  canvas.addEventListener("pointermove", (event) => {
-    if (page && !broken && (dragging || document.pointerLockElement === canvas)) page.look(event.movementX, event.movementY);
-  });
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    if (page && !broken) page.wheel(-Math.sign(event.deltaY));
-  }, { passive: false });
+  addEventListener("hashchange", () => { if (page && !broken && scene) goToView(location.hash); });
+  pointers();
+  held();
   canvas.addEventListener("dblclick", (event) => {
     const box = canvas.getBoundingClientRect();
     const at = [(event.clientX - box.left) / box.width * canvas.width, (event.clientY - box.top) / box.height * canvas.height];
@@ -345,6 +438,9 @@ function events() {
     button.addEventListener("click", () => { if (page && !broken) page.preset(button.dataset.preset); });
   }
   element("repeat").addEventListener("change", (event) => { if (page && !broken) page.repeat(event.target.checked); });
+  element("shot").addEventListener("click", () => { if (page && !broken && scene) screenshot(); });
+  element("home").addEventListener("click", () => { if (page && !broken) page.key("Home", true); });
+  element("mode").addEventListener("click", () => { if (page && !broken) page.key("KeyG", true); });
   element("full").addEventListener("click", () => document.documentElement.requestFullscreen?.());
 }
 
@@ -378,7 +474,10 @@ try {
   await init({ module_or_path: program });
   await open();
   const words = element("words").textContent;
-  if (await loadFrom(asked.get("scene") ?? "demo.pcast") && !gpu) say(words);
+  const [view, path] = [location.hash, asked.get("scene") ?? "demo.pcast"];
+  // A small screen has no room for it at first.
+  element("panel").open = innerWidth > 640;
+  if (await loadFrom(path, view) && !gpu) say(words);
 } catch (error) {
   wrong("the scene", error);
 }

@@ -137,6 +137,10 @@ impl Page {
         } else {
             let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
             self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
+            // What the file says of its kind does not come this far: its shape tells.
+            let subject = tour::Subject::new(&world.scene);
+            self.control.target = subject.center();
+            self.control.set_mode(if subject.terrain { Mode::Solid } else { Mode::Orbit });
         }
         self.level = level;
         self.drawer = Some(drawer);
@@ -165,6 +169,7 @@ impl Page {
             "Home" if down => {
                 if let Some(drawer) = &self.drawer {
                     let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
+                    self.control.target = tour::Subject::new(&drawer.world().scene).center();
                     self.control.place(tour::still(&drawer.world().scene, view));
                 }
             }
@@ -180,6 +185,30 @@ impl Page {
 
     pub fn look(&mut self, dx: f64, dy: f64) {
         self.control.look(dx, dy);
+    }
+
+    /// Moves across the picture: what is in its middle follows a finger over so many pixels.
+    pub fn pan(&mut self, dx: f64, dy: f64) {
+        self.control.pan(dx, dy, f64::from(self.size[1]));
+    }
+
+    /// Comes nearer by so many notches of a wheel.
+    pub fn nearer(&mut self, notches: f64) {
+        self.control.nearer(notches);
+    }
+
+    /// Goes to a place, as [`Page::pose`] tells it, in voxels of the file's level 0; false where that is none.
+    pub fn place(&mut self, eye: &[f64], yaw: f64, pitch: f64, roll: f64, mode: &str) -> bool {
+        let sound = eye.len() == 3 && eye.iter().chain([&yaw, &roll]).all(|v| v.is_finite());
+        if !sound || !(-90.0..=90.0).contains(&pitch) {
+            return false;
+        }
+        if let Some(mode) = Mode::ALL.into_iter().find(|m| m.name() == mode) {
+            self.control.set_mode(mode);
+        }
+        let eye = DVec3::from_slice(eye) / f64::from(self.level).exp2();
+        self.control.place(Pose { eye, yaw, pitch, roll, ..self.control.pose });
+        true
     }
 
     pub fn wheel(&mut self, notches: f64) {

@@ -4,6 +4,7 @@ pub mod about;
 pub mod columns;
 pub mod exposure;
 pub mod filled;
+pub mod grid;
 pub mod input;
 pub mod pieces;
 pub mod run;

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::encode::build::UNCOLORED;
+use crate::model::grid::Grid;
 use crate::{About, Colors, Columns, ColumnsBuilder, Input, Result, Rgb};
 
 /// A world that can be read in pieces, in any order, by several threads.
@@ -28,6 +29,12 @@ pub trait Pieces: Send + Sync {
     /// Bytes of the whole input, as far as they are read; 0 for functions.
     fn input_bytes(&self) -> u64 {
         0
+    }
+
+    /// The values behind a volume that has at most `most` voxels; None of anything else.
+    fn grid(&self, most: u64) -> Result<Option<Grid>> {
+        let _ = most;
+        Ok(None)
     }
 
     /// Rows of z that are best read together, where the columns lie across the order of the file.
@@ -206,6 +213,10 @@ impl Pieces for Known {
 
     fn input_bytes(&self) -> u64 {
         self.world.input_bytes()
+    }
+
+    fn grid(&self, most: u64) -> Result<Option<Grid>> {
+        self.world.grid(most)
     }
 
     fn rows_together(&self) -> u32 {

@@ -291,6 +291,85 @@ pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions)
     })
 }
 
+/// A picture in colours, strip by strip or tile by tile; where it lies, and its size. `put` gets a part of a row, from a column on.
+pub(super) fn colors(
+    path: &Path,
+    input: Box<dyn Stream + '_>,
+    len: usize,
+    put: &dyn Fn(u32, u32, u32, &[u8]) -> Result<()>,
+) -> Result<(Option<Place>, [u32; 2])> {
+    let mut tiff = Tiff::open(path, input, len)?;
+    let (page, _) = pages(&mut tiff)?;
+    let image = tiff.image(&page)?;
+    let bands: &[u32] = match (image.photometric, image.samples) {
+        (2 | 6, 3..) => &[0, 1, 2],
+        (0 | 1 | 3, _) => &[0, 0, 0],
+        _ => {
+            return Err(tiff.fault(format!(
+                "photometric {}: a colour map is grey, RGB, YCbCr or of a palette",
+                image.photometric
+            )));
+        }
+    };
+    if image.sample != Sample::Unsigned || !matches!(image.bits, 8 | 16) {
+        let (bits, sample) = (image.bits, image.sample);
+        return Err(
+            tiff.fault(format!("samples of {bits} bits ({sample:?}) are no colours; write it with 8 bits a sample"))
+        );
+    }
+    // A palette has all reds first, then greens, then blues, of 16 bits each.
+    let palette =
+        if image.photometric == 3 { tiff.integers(&page, tags::COLOR_MAP)?.unwrap_or_default() } else { Vec::new() };
+    let colors = palette.len() / 3;
+    if image.photometric == 3 && colors < 1 << image.bits.min(16) {
+        return Err(tiff.fault(format!(
+            "tag 320: {} numbers of a palette, {} expected",
+            palette.len(),
+            3usize << image.bits
+        )));
+    }
+    let byte = |v: f64| if image.bits == 16 { (v / 257.0).round() as u8 } else { v as u8 };
+    for row in 0..image.down {
+        for column in 0..image.across {
+            let mut planes = Vec::new();
+            for (k, &band) in bands.iter().enumerate() {
+                let same = k > 0 && image.index(column, row, band) == image.index(column, row, bands[k - 1]);
+                planes.push(if same { None } else { Some(tiff.chunk(&image, image.index(column, row, band))?) });
+            }
+            let [wide, high] = image.chunk;
+            let (x, z) = (column * wide, row * high);
+            let (w, h) = (wide.min(image.width - x) as usize, high.min(image.height - z) as usize);
+            let size = image.row_bytes();
+            let mut line = Vec::with_capacity(3 * w);
+            for i in 0..h {
+                line.clear();
+                for j in 0..w {
+                    let value = |k: usize| {
+                        let plane = planes[..=k].iter().rev().flatten().next().and_then(Option::as_ref);
+                        plane.map_or(0.0, |bytes| image.value(&bytes[i * size..(i + 1) * size], j, bands[k]))
+                    };
+                    line.extend(match image.photometric {
+                        3 => [0, 1, 2].map(|k| (palette[k * colors + value(0) as usize] >> 8) as u8),
+                        6 => from_ycbcr([0, 1, 2].map(|k| byte(value(k)))),
+                        // White is 0.
+                        0 => [255 - byte(value(0)); 3],
+                        _ => [0, 1, 2].map(|k| byte(value(k))),
+                    });
+                }
+                put(x, z + i as u32, image.width, &line)?;
+            }
+        }
+    }
+    Ok((place(&mut tiff, &page, path)?, [image.width, image.height]))
+}
+
+/// JFIF's colours.
+fn from_ycbcr([y, cb, cr]: [u8; 3]) -> [u8; 3] {
+    let (y, cb, cr) = (f64::from(y), f64::from(cb) - 128.0, f64::from(cr) - 128.0);
+    let rgb = [y + 1.402 * cr, y - 0.344_136 * cb - 0.714_136 * cr, y + 1.772 * cb];
+    rgb.map(|v| v.round().clamp(0.0, 255.0) as u8)
+}
+
 /// Empties the pixels that a mask says have no data: those whose bit is 0.
 fn apply(tiff: &Tiff, page: &Page, of: &Image, heights: &mut Heights) -> Result<()> {
     let image = tiff.image(page)?;

@@ -28,9 +28,10 @@ use super::heights::Heights;
 use super::pixels::{Pixels, Png, Stream, stream};
 use super::relief::{self, Colors, Exaggeration, Means, Ramp};
 use super::{HeightCode, ReadOptions, guarded, world_dims};
+use crate::encode::build::UNCOLORED;
 use crate::model::about::Kind;
 use crate::model::pieces::{ColumnColorsFn, RowColors, Rows};
-use crate::{About, ColumnsBuilder, Error, Result, Run};
+use crate::{About, ColumnsBuilder, Error, Result, Rgb, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not
 /// worth asking memory for.
@@ -197,6 +198,8 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
             scale
         }
     };
+    // A voxel as wide as a pixel, in the unit of the values: before the relief is exaggerated.
+    let side = 1.0 / scale;
     let auto = (opts.show && opts.height_scale.is_none()).then_some(Exaggeration::Auto);
     let shown = opts.exaggeration.or(auto);
     let scale = match shown.map(|e| e.factor((high - low) * scale, width.max(height))) {
@@ -241,9 +244,12 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
     let ramp = opts.ramp.as_deref().or(opts.show.then_some("terrain")).filter(|_| opts.colors.is_none());
     let ramp = ramp.map(Ramp::find).transpose()?.flatten();
     let color = match (&opts.colors, ramp) {
-        (Some(path), _) => RowColors::Column(color_map(path, width, height, &mut notes)?),
+        (Some(path), _) => {
+            let flips = heights.flips;
+            RowColors::Column(color_map(path, [width, height], place.as_ref(), flips, &mut about, &mut notes)?)
+        }
         (None, Some(ramp)) => {
-            let pixel = wide.as_ref().map_or([1.0 / scale; 2], |ground| ground.metres.map(|m| m / unit.metres));
+            let pixel = wide.as_ref().map_or([side; 2], |ground| ground.metres.map(|m| m / unit.metres));
             let (table, means, heights) = (ramp.over(low, high), Means::new(&heights)?, Arc::clone(&heights));
             RowColors::Column(Box::new(move |xs: Range<u32>, z, out| {
                 let colors = Colors { table: &table, heights: &heights, pixel, means: &means };
@@ -493,17 +499,82 @@ impl HeightCode {
     }
 }
 
-/// Colours by nearest pixel: that which holds the centre of the column.
-fn color_map(path: &Path, width: u32, height: u32, notes: &mut Vec<String>) -> Result<Box<ColumnColorsFn>> {
+/// Colours of the columns from a picture: by coordinates where both have them, else pixel by pixel. `flips` are those of the heights.
+fn color_map(
+    path: &Path,
+    [width, height]: [u32; 2],
+    place: Option<&Place>,
+    flips: [bool; 2],
+    about: &mut About,
+    notes: &mut Vec<String>,
+) -> Result<Box<ColumnColorsFn>> {
     let pixels = Pixels::read(path)?;
     let (w, h) = (pixels.width, pixels.height);
+    if let (Some(heights), Some(colors)) = (place, &pixels.place) {
+        let (of_heights, of_colors) = (&heights.crs.name, &colors.crs.name);
+        if !of_heights.is_empty() && !of_colors.is_empty() && of_heights != of_colors {
+            return Err(Error::Argument(format!(
+                "{}: colours lie in {of_colors}, heights in {of_heights}; bring one to the other's with gdalwarp -t_srs",
+                path.display()
+            )));
+        }
+        let [[a, b, c], [d, e, f]] = colors.affine;
+        let turn = a * e - b * d;
+        let heights = heights.clone();
+        // The pixel of the colours that has the middle of a column.
+        let pixel = move |x: u32, z: u32| {
+            let [east, north] = heights.at(f64::from(x) + 0.5, f64::from(z) + 0.5);
+            let (east, north) = (east - c, north - f);
+            let (column, row) = ((e * east - b * north) / turn, (a * north - d * east) / turn);
+            // What lies on an edge is within it, whatever rounding says.
+            let within =
+                |v: f64, n: u32| (v >= -1e-6 && v < f64::from(n) + 1e-6).then(|| (v.max(0.0) as u32).min(n - 1));
+            Some((within(column, w)?, within(row, h)?))
+        };
+        let steps = |n: u32| (0..n).step_by((n as usize / 64).max(1));
+        let looked_at: Vec<bool> =
+            steps(height).flat_map(|z| steps(width).map(move |x| (x, z))).map(|(x, z)| pixel(x, z).is_some()).collect();
+        let covered = looked_at.iter().filter(|c| **c).count();
+        if covered == 0 {
+            return Err(Error::Argument(format!(
+                "{}: the colour map lies elsewhere: no column has a colour",
+                path.display()
+            )));
+        }
+        notes.push(format!("colours of {w} × {h} pixels are laid on by coordinates"));
+        if covered < looked_at.len() {
+            let without = 100.0 * (1.0 - covered as f64 / looked_at.len() as f64);
+            about.left_out.push(format!(
+                "colours of {without:.1} % of the columns, to which the colour map does not reach: they are grey"
+            ));
+        }
+        let straight = b == 0.0 && d == 0.0;
+        return Ok(Box::new(move |xs, z, out| {
+            let mut line: Option<(u32, Vec<Rgb>)> = None;
+            for x in xs {
+                out.push(match pixel(x, z) {
+                    None => UNCOLORED,
+                    Some((column, row)) if straight => {
+                        if line.as_ref().is_none_or(|(of, _)| *of != row) {
+                            line = Some((row, pixels.row(row)?));
+                        }
+                        line.as_ref().map_or(UNCOLORED, |(_, colors)| colors[column as usize])
+                    }
+                    Some((column, row)) => pixels.pixel(column, row)?,
+                });
+            }
+            Ok(())
+        }));
+    }
     if (w, h) != (width, height) {
         notes.push(format!("the colour map has {w} × {h} pixels, the height map {width} × {height}: nearest pixels"));
     }
     let nearest = |i: u32, n: u32, m: u32| ((2 * u64::from(i) + 1) * u64::from(m) / (2 * u64::from(n))) as u32;
+    // Pixels lie as the heights do in their file.
+    let flipped = |i: u32, n: u32, flip: bool| if flip { n - 1 - i } else { i };
     Ok(Box::new(move |xs, z, out| {
-        let row = pixels.row(nearest(z, height, h))?;
-        out.extend(xs.map(|x| row[nearest(x, width, w) as usize]));
+        let row = pixels.row(nearest(flipped(z, height, flips[1]), height, h))?;
+        out.extend(xs.map(|x| row[nearest(flipped(x, width, flips[0]), width, w) as usize]));
         Ok(())
     }))
 }

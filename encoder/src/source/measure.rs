@@ -61,6 +61,11 @@ const RAMP: [[f64; 3]; 6] = [
 ];
 
 impl Paint {
+    /// Of a share of a ramp, 0 to 1.
+    pub fn share(t: f64) -> Rgb {
+        Paint::Ramp(0.0, 1.0).color(t)
+    }
+
     pub fn color(self, value: f64) -> Rgb {
         match self {
             Paint::None => crate::encode::build::UNCOLORED,

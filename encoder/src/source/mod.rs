@@ -142,7 +142,7 @@ pub struct ReadOptions {
     /// Spacing of a volume's voxels: auto (as the file states it), as-is (voxels are cubes), or SX,SY,SZ [default: auto]
     #[arg(long, value_name = "auto|as-is|SX,SY,SZ", value_parser = parse_spacing)]
     pub spacing: Option<Spacing>,
-    /// Colour map of a height map (PNG or JPEG); its nearest pixel is taken where the sizes differ
+    /// Colour map of a height map (PNG, JPEG or TIFF): laid on by coordinates where both have them, else the nearest pixel is taken
     #[arg(long, value_name = "IMAGE")]
     pub colors: Option<PathBuf>,
     /// Voxels along the longest side of a mesh or a cloud of points [default: 512; of LAS see --voxel], columns along that of a height
@@ -170,7 +170,7 @@ pub struct ReadOptions {
     /// Heights of a PNG or TIFF that its colours code, as web maps have them
     #[arg(long, value_enum, value_name = "CODE")]
     pub rgb: Option<HeightCode>,
-    /// Colours of a height map that has none, by height: terrain, grey, viridis, cividis, magma, inferno, plasma, turbo, none, or a
+    /// Colours of a height map that has none, by height, or of a volume, by value: terrain, grey, viridis, cividis, magma, inferno, plasma, turbo, none, or a
     /// file as gdaldem color-relief reads it
     #[arg(long, value_name = "NAME|FILE")]
     pub ramp: Option<String>,
@@ -581,7 +581,7 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--dims", opts.dims.is_some() && !is_headless, "the file states its size");
     unused("--colors", opts.colors.is_some() && !is_map, "colour maps are for height maps");
     unused("--rgb", opts.rgb.is_some() && !is_image, "it is for images of heights in colours");
-    unused("--ramp", opts.ramp.is_some() && !is_map, "it is for height maps");
+    unused("--ramp", opts.ramp.is_some() && !is_map && !is_volume, "it is for height maps and volumes");
     unused("--exaggeration", opts.exaggeration.is_some() && !is_map, "it is for height maps");
     unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");

@@ -5,7 +5,8 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
-use super::{heightmap, map};
+use super::geo::{Crs, Length, Place};
+use super::{geotiff, heightmap, map};
 use crate::store::scratch::{self, File as Unnamed, read_at, write_at};
 use crate::{Error, Result, Rgb};
 
@@ -69,6 +70,8 @@ fn failed(path: &Path, e: &png::DecodingError) -> Error {
 pub(super) struct Pixels {
     pub width: u32,
     pub height: u32,
+    /// Where it lies.
+    pub place: Option<Place>,
     file: Unnamed,
 }
 
@@ -77,13 +80,25 @@ fn failing(action: &'static str) -> impl Fn(std::io::Error) -> Error {
 }
 
 impl Pixels {
-    /// From a PNG or JPEG file.
+    /// From a PNG, JPEG or TIFF file; a world file says where those lie that do not say it themselves.
     pub fn read(path: &Path) -> Result<Pixels> {
         let bytes = map(path)?;
         let file = scratch::file().map_err(failing("create a file in"))?;
         let put = |row: u32, width: u32, pixels: &[u8]| {
             write_at(&file, pixels, 3 * u64::from(row) * u64::from(width)).map_err(failing("write a file in"))
         };
+        if bytes.starts_with(b"II") || bytes.starts_with(b"MM") {
+            let put = |x: u32, z: u32, width: u32, pixels: &[u8]| {
+                let at = u64::from(z) * u64::from(width) + u64::from(x);
+                write_at(&file, pixels, 3 * at).map_err(failing("write a file in"))
+            };
+            let input = stream(path, &bytes, true)?;
+            let (place, [width, height]) =
+                super::guarded(path, "TIFF", || geotiff::colors(path, input, bytes.len(), &put))?;
+            return Ok(Pixels { width, height, place, file });
+        }
+        let affine = geotiff::world_file(path, &["pgw", "pngw", "jgw", "jpgw", "wld"]);
+        let place = affine.map(|affine| Place { crs: Crs::lengths(Length::metre()), affine });
         let png = match bytes.starts_with(b"\x89PNG") {
             true => super::guarded(path, "image", || Png::open(path, stream(path, &bytes, true)?, bytes.len()))?,
             false => None,
@@ -116,7 +131,15 @@ impl Pixels {
                 [image.width(), image.height()]
             }
         };
-        Ok(Pixels { width, height, file })
+        Ok(Pixels { width, height, place, file })
+    }
+
+    /// One pixel.
+    pub fn pixel(&self, x: u32, z: u32) -> Result<Rgb> {
+        let mut pixel = [0; 3];
+        let at = 3 * (u64::from(z) * u64::from(self.width) + u64::from(x));
+        read_at(&self.file, &mut pixel, at).map_err(failing("read a file in"))?;
+        Ok(pixel)
     }
 
     /// Row `z`, all of it.

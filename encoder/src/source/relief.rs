@@ -156,7 +156,7 @@ pub(super) struct Table {
 }
 
 impl Table {
-    fn tint(&self, height: f64) -> [f64; 3] {
+    pub fn tint(&self, height: f64) -> [f64; 3] {
         let next = self.stops.partition_point(|s| s.0 <= height);
         match (next.checked_sub(1).map(|i| self.stops[i]), self.stops.get(next)) {
             (Some((a, from)), Some(&(b, to))) => {

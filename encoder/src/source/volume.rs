@@ -12,6 +12,7 @@
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use flate2::read::MultiGzDecoder;
@@ -19,12 +20,14 @@ use rayon::prelude::*;
 
 use super::measure::{Meant, Measured, Paint, Solid};
 use super::place::{self, Along, Oriented, Place};
+use super::relief::{Ramp, Table};
 use super::{Dtype, ReadOptions, Up, world_dims};
 use crate::model::about::Kind;
 use crate::model::exposure;
+use crate::model::grid::{Grid, Tints};
 use crate::model::pieces::Pieces;
 use crate::store::scratch::{self, File, read_at};
-use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
+use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// A dense volume as a file holds it.
 pub(super) struct Stored<'a> {
@@ -363,6 +366,8 @@ pub(super) struct Volume<'a> {
     /// Which values are solid, where they are not as stored.
     solid: Solid,
     paint: Paint,
+    /// In place of the colours of [`Paint::Ramp`]: those of `--ramp`, over the values and as shares of them.
+    ramp: Option<Arc<[Table; 2]>>,
     dims: [u32; 3],
     /// The file's axis of world x, y, z.
     axes: [usize; 3],
@@ -472,7 +477,7 @@ impl<'a> Volume<'a> {
 
         let size = dtype.size();
         let decode: Decode = with_sample!(dtype, big_endian, |read| decoder(read, scale, missing));
-        let (solid, paint, rule, values) = if measured {
+        let (solid, mut paint, rule, values) = if measured {
             let found = Measured::of(&data, size, &*decode)?;
             let is_float = matches!(dtype, Dtype::F32 | Dtype::F64);
             let zero = !is_float && scale.is_some_and(|(_, inter)| size == 1 || inter != 0.0);
@@ -495,6 +500,23 @@ impl<'a> Volume<'a> {
                 }
             }
         };
+        let mut ramp = None;
+        if let Some(name) = &opts.ramp {
+            if paint == Paint::None && !measured {
+                let least = if let Solid::AtLeast(least) = solid { least } else { f64::from_bits(1) };
+                paint = Measured::of(&data, size, &*decode)?.rule(Some(least), &Meant::default()).1;
+            }
+            match (Ramp::find(name)?, paint) {
+                (Some(of), Paint::Ramp(low, high)) => {
+                    // A surface is mostly of values near the threshold, and shading shows on nothing black.
+                    let begin = low - DARK * (high - low);
+                    ramp = Some(Arc::new([of.over(begin, high), of.over(-DARK, 1.0)]));
+                }
+                (None, Paint::Ramp(..)) => paint = Paint::None,
+                (_, Paint::Labels) => left_out.push("--ramp: labels have a colour each".to_owned()),
+                (_, Paint::None) => left_out.push("--ramp: values are not different enough".to_owned()),
+            }
+        }
         let masks = match solid {
             Solid::AtLeast(iso) => with_sample!(dtype, big_endian, |read| iso_masks(read, iso, scale, missing)),
             Solid::NotZero if dtype == Dtype::U8 && scale.is_none() && missing.is_none() => {
@@ -535,16 +557,62 @@ impl<'a> Volume<'a> {
             }
             about.affine = place.as_ref().map(|place| affine(place, &along, axes, flips)).or(about.affine);
         }
-        Ok(Volume { stored, along, between, size, data, masks, decode, solid, paint, dims, axes, flips, notes, about })
+        Ok(Volume {
+            stored,
+            along,
+            between,
+            size,
+            data,
+            masks,
+            decode,
+            solid,
+            paint,
+            ramp,
+            dims,
+            axes,
+            flips,
+            notes,
+            about,
+        })
     }
 
     /// The same volume, its values read from the file at `path`, which holds `whole`.
     pub(super) fn in_file(self, path: &Path, whole: &[u8]) -> Result<Volume<'static>> {
         let data = self.data.in_file(path, whole)?;
         let Volume {
-            stored, along, between, size, masks, decode, solid, paint, dims, axes, flips, notes, about, ..
+            stored,
+            along,
+            between,
+            size,
+            masks,
+            decode,
+            solid,
+            paint,
+            ramp,
+            dims,
+            axes,
+            flips,
+            notes,
+            about,
+            ..
         } = self;
-        Ok(Volume { stored, along, between, size, data, masks, decode, solid, paint, dims, axes, flips, notes, about })
+        Ok(Volume {
+            stored,
+            along,
+            between,
+            size,
+            data,
+            masks,
+            decode,
+            solid,
+            paint,
+            ramp,
+            dims,
+            axes,
+            flips,
+            notes,
+            about,
+        })
     }
 
     /// Values `us` of row `v` of slice `w`, in the file's order.
@@ -729,7 +797,10 @@ impl<'a> Volume<'a> {
         // Threads meet in no voxel; that the compiler cannot know.
         let found: Vec<AtomicU32> = ys.iter().map(|_| AtomicU32::new(0)).collect();
         let put = |at: usize, value: f64| {
-            let [r, g, b] = self.paint.color(value);
+            let [r, g, b] = match &self.ramp {
+                Some(ramp) => rounded(ramp[0].tint(value)),
+                None => self.paint.color(value),
+            };
             found[at].store(u32::from_le_bytes([r, g, b, 0]), Ordering::Relaxed);
         };
         let [x_axis, y_axis, z_axis] = self.axes;
@@ -947,6 +1018,56 @@ impl Pieces for Volume<'_> {
         self.data.len()
     }
 
+    fn grid(&self, most: u64) -> Result<Option<Grid>> {
+        if self.dims.iter().map(|&n| u64::from(n)).product::<u64>() > most {
+            return Ok(None);
+        }
+        let [nu, nv, nw] = [0, 1, 2].map(|f| self.along[f].n);
+        let slices: Vec<Vec<f32>> = (0..nw)
+            .into_par_iter()
+            .map(|w| {
+                let (mut slice, mut meant) = (Vec::with_capacity((nu * nv) as usize), Vec::new());
+                self.rows(0..nu, 0..nv, w, &mut Buffers::default(), |_, row| {
+                    let values = match row {
+                        Row::Meant(values) => values,
+                        Row::Stored(bytes) => {
+                            meant.clear();
+                            (self.decode)(bytes, &mut meant);
+                            &meant
+                        }
+                    };
+                    slice.extend(values.iter().map(|&v| v as f32));
+                })?;
+                Ok(slice)
+            })
+            .collect::<Result<_>>()?;
+        let [nx, ny, _] = self.dims.map(|n| n as usize);
+        let mut values = vec![f32::NAN; nx * ny * self.dims[2] as usize];
+        // The file's place of a world's, along each axis.
+        let place = |k: usize, v: usize| if self.flips[k] { self.dims[k] as usize - 1 - v } else { v };
+        values.par_chunks_mut(nx * ny).enumerate().for_each(|(z, layer)| {
+            let mut at = [0; 3];
+            at[self.axes[2]] = place(2, z);
+            for (x, column) in layer.chunks_mut(ny).enumerate() {
+                at[self.axes[0]] = place(0, x);
+                for (y, value) in column.iter_mut().enumerate() {
+                    at[self.axes[1]] = place(1, y);
+                    *value = slices[at[2]][at[1] * nu as usize + at[0]];
+                }
+            }
+        });
+        let tints = match (self.paint, &self.ramp) {
+            (Paint::None, _) => Tints::None,
+            (Paint::Labels, _) => Tints::Value(Arc::new(|v| Paint::Labels.color(v))),
+            (Paint::Ramp(..), None) => Tints::Share(Arc::new(Paint::share)),
+            (Paint::Ramp(..), Some(ramp)) => {
+                let ramp = Arc::clone(ramp);
+                Tints::Share(Arc::new(move |t| rounded(ramp[1].tint(t))))
+            }
+        };
+        Ok(Some(Grid::new(self.dims, values, tints)))
+    }
+
     /// Where a slice is a layer, rows enough that a stretch of them is worth going to.
     fn rows_together(&self) -> u32 {
         match self.axes[1] {
@@ -954,6 +1075,13 @@ impl Pieces for Volume<'_> {
             _ => (LONG_STRETCH / (self.stored[0] * self.size)).clamp(1, 1 << 16) as u32,
         }
     }
+}
+
+/// Of the values that are shown, how many more a ramp has colours for below them.
+const DARK: f64 = 0.35;
+
+fn rounded(color: [f64; 3]) -> Rgb {
+    color.map(|c| c.round().clamp(0.0, 255.0) as u8)
 }
 
 /// Bytes after which going elsewhere in a file costs little beside reading them, on a disk that turns, too.

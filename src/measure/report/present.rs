@@ -96,7 +96,8 @@ pub fn files(plan: &Plan<'_>, rows: &[Row], subject: &Subject<'_>, draw: &mut dy
         files.push(Content { name: format!("{}.svg", plot.name), bytes: plot.svg.clone().into_bytes() });
     }
     let pictures = pictures(plan, rows, draw)?;
-    let page = page(plan, rows, &sources, subject, &plots, &pictures);
+    let thumbnail = thumbnail(plan, rows, draw)?;
+    let page = page(plan, rows, &sources, subject, &plots, &pictures, &thumbnail);
     files.extend(pictures.into_iter().flat_map(|p| p.files));
     files.push(Content { name: "report.html".into(), bytes: page.into_bytes() });
     Ok(files)
@@ -459,10 +460,15 @@ fn page(
     subject: &Subject<'_>,
     plots: &[Plot],
     pictures: &[Triple],
+    thumbnail: &[u8],
 ) -> String {
     let mut page = Page::new("planecast: error against time");
     let [w, h] = plan.size;
     let [nx, ny, nz] = subject.dims;
+    page.paragraph(&result(plan, rows));
+    if !thumbnail.is_empty() {
+        page.pictures(&[(thumbnail, "the first pose, as render draws it without flags")]);
+    }
     page.paragraph(&format!(
         "{}, {nx} × {ny} × {nz} voxels, content {}. {w} × {h} pixels, {} poses, {} configurations, {} timed rounds in turn \
          after a frame that is not counted. All figures on this page were measured on the machine named here.",
@@ -500,6 +506,7 @@ fn page(
         let parts: Vec<(&[u8], &str)> = triple.files.iter().map(|f| &*f.bytes).zip(captions).collect();
         page.pictures(&parts);
     }
+    levels_table(&mut page, rows);
     page.heading(2, "All configurations");
     config_table(&mut page, rows);
     pose_table(&mut page, plan, rows);
@@ -539,6 +546,90 @@ fn page(
             .collect(),
     });
     page.finish()
+}
+
+/// The result in a sentence: what the usual settings take and how far they are off, and how much of that is their levels'.
+fn result(plan: &Plan<'_>, rows: &[Row]) -> String {
+    let find = |name: &str| rows.iter().find(|r| r.config.name == name);
+    let Some(usual) = find("default") else { return "The usual settings were not measured.".into() };
+    let [w, h] = plan.size;
+    let [least, _, most] = usual.over_poses(|e| e.errors.other);
+    let time = usual.time_over_poses().map_or(String::new(), |[a, b, c]| {
+        format!("takes {b:.1} ms on the CPU (median pose; {a:.1} to {c:.1} ms) and ")
+    });
+    let mut text = format!(
+        "With its usual settings a frame of {w} × {h} pixels {time}shows another voxel than exact rays do in {:.3} % of the \
+         pixels ({least:.3} to {most:.3} % by pose)",
+        usual.other()
+    );
+    match find("lod off") {
+        Some(exact) => {
+            text += &format!(
+                "; its colours are off by a FLIP of {:.4}, of which {:.4} are the method's and the rest is that of coarser levels far away.",
+                usual.flip(),
+                exact.flip().min(usual.flip())
+            )
+        }
+        None => text += &format!("; its colours are off by a FLIP of {:.4}.", usual.flip()),
+    }
+    text
+}
+
+/// The first pose with the usual settings, as a small PNG; empty where these were not measured.
+fn thumbnail(plan: &Plan<'_>, rows: &[Row], draw: &mut dyn Draw) -> Result<Vec<u8>> {
+    let (Some(usual), Some(pose)) = (rows.iter().find(|r| r.config.name == "default"), plan.poses.first()) else {
+        return Ok(Vec::new());
+    };
+    let frame = plan.picture(draw, &usual.config, pose)?;
+    let mut bytes = Vec::new();
+    output::png(&mut bytes, &frame).map_err(|e| Error::Limit(format!("a picture of the report: {e}")))?;
+    Ok(bytes)
+}
+
+/// Least, median and greatest.
+fn spread([least, median, most]: [f64; 3], decimals: usize) -> String {
+    format!("{least:.decimals$} / {median:.decimals$} / {most:.decimals$}")
+}
+
+/// Configurations beside themselves without levels of detail: what error is the levels', what the method's.
+fn levels_table(page: &mut Page, rows: &[Row]) {
+    let without = |r: &Row| {
+        let options = Options { lod: None, ..r.config.options };
+        let same = |o: &&Row| {
+            let (a, b) = (&o.config, &r.config);
+            a.options == options && (a.backend, a.scale, a.rule) == (b.backend, b.scale, b.rule)
+        };
+        rows.iter().find(same)
+    };
+    let pairs: Vec<(&Row, &Row)> =
+        rows.iter().filter(|r| r.config.options.lod.is_some()).filter_map(|r| Some((r, without(r)?))).collect();
+    if pairs.is_empty() {
+        return;
+    }
+    page.heading(2, "Levels of detail, and the method");
+    page.table(&Table {
+        caption: "The method's error is that of the same settings at level 0 everywhere; the rest comes from coarser levels. \
+                  Means over the poses, and least / median / greatest by pose."
+            .into(),
+        head: ["configuration", "FLIP of one ray", "of the method", "of levels", "method by pose", "level 0 %", "of the method", "of levels"]
+            .map(String::from)
+            .to_vec(),
+        rows: (pairs.iter())
+            .map(|(with, without)| {
+                let level0 = |r: &Row| r.mean(|e| e.errors.other_level0);
+                TableRow::new([
+                    with.config.name.clone(),
+                    format!("{:.4}", with.flip()),
+                    format!("{:.4}", without.flip()),
+                    format!("{:+.4}", with.flip() - without.flip()),
+                    spread(without.over_poses(|e| e.errors.flip_exact), 4),
+                    format!("{:.2}", level0(with)),
+                    format!("{:.2}", level0(without)),
+                    format!("{:+.2}", level0(with) - level0(without)),
+                ])
+            })
+            .collect(),
+    });
 }
 
 fn ms(t: Option<[f64; 3]>) -> String {
@@ -630,7 +721,9 @@ fn config_table(page: &mut Page, rows: &[Row]) {
     let head = [
         "configuration",
         "ms (rounds)",
+        "ms by pose",
         "another voxel %",
+        "by pose",
         "near %",
         "level 0 %",
         "coarser %",
@@ -643,6 +736,7 @@ fn config_table(page: &mut Page, rows: &[Row]) {
         "SSIM",
         "FLIP",
         "of one ray",
+        "by pose",
         "holes",
         "left",
         "planes",
@@ -657,7 +751,9 @@ fn config_table(page: &mut Page, rows: &[Row]) {
         let cells = [
             r.config.name.clone(),
             ms(r.time(|t| t.total)),
+            r.time_over_poses().map_or("–".into(), |t| spread(t, 1)),
             format!("{:.3}", r.other()),
+            spread(r.over_poses(|e| e.errors.other), 3),
             format!("{:.3}", mean(&|e| e.other_near)),
             format!("{:.2}", mean(&|e| e.other_level0)),
             format!("{:.2}", mean(&|e| e.coarser)),
@@ -670,6 +766,7 @@ fn config_table(page: &mut Page, rows: &[Row]) {
             format!("{:.4}", mean(&|e| e.ssim)),
             format!("{:.4}", mean(&|e| e.flip)),
             format!("{:.4}", r.flip()),
+            spread(r.over_poses(|e| e.errors.flip_exact), 4),
             format!("{:.0}", r.mean(|e| e.holes[0] as f64)),
             format!("{:.0}", r.mean(|e| e.holes[1] as f64)),
             format!("{:.0}", r.mean(|e| f64::from(e.planes))),
@@ -680,7 +777,7 @@ fn config_table(page: &mut Page, rows: &[Row]) {
         TableRow::marked(if fronts.contains(&r.config.name) { Mark::Strong } else { Mark::Plain }, cells)
     };
     page.table(&Table {
-        caption: "Means over the poses; the Pareto front of FLIP of one ray against time is green.".into(),
+        caption: "Means over the poses, and least / median / greatest by pose; the Pareto front of FLIP of one ray against time is green.".into(),
         head: head.map(String::from).to_vec(),
         rows: rows.iter().map(row).collect(),
     });

@@ -283,6 +283,13 @@ impl Plan<'_> {
     }
 }
 
+/// Least, median and greatest of at least one value.
+fn spread(mut values: Vec<f64>) -> [f64; 3] {
+    values.sort_unstable_by(f64::total_cmp);
+    let n = values.len();
+    [values[0], (values[(n - 1) / 2] + values[n / 2]) / 2.0, values[n - 1]]
+}
+
 /// All that was measured of one configuration.
 #[derive(Clone, Debug)]
 pub struct Row {
@@ -305,13 +312,24 @@ impl Row {
         all.fold((0, f64::NEG_INFINITY), |worst, now| if now.1 > worst.1 { now } else { worst })
     }
 
+    /// Least, median and greatest over the poses.
+    pub fn over_poses(&self, figure: impl Fn(&ErrorFigures) -> f64) -> [f64; 3] {
+        spread(self.errors.iter().map(figure).collect())
+    }
+
+    /// Milliseconds of the whole frame, pose by pose the median of the rounds: least, median and greatest over the poses.
+    /// `None` where nothing was timed.
+    pub fn time_over_poses(&self) -> Option<[f64; 3]> {
+        let poses = self.times.first()?.len();
+        let median = |pose: usize| spread(self.times.iter().map(|round| round[pose].total).collect())[1];
+        Some(spread((0..poses).map(median).collect()))
+    }
+
     /// Milliseconds a frame, mean over the poses: least, median and greatest of the rounds. `None` where nothing was timed.
     pub fn time(&self, stage: impl Fn(&StageTimes) -> f64) -> Option<[f64; 3]> {
         let round = |times: &Vec<StageTimes>| times.iter().map(&stage).sum::<f64>() / times.len() as f64;
-        let mut means: Vec<f64> = self.times.iter().map(round).collect();
-        means.sort_unstable_by(f64::total_cmp);
-        let n = means.len();
-        (n > 0).then(|| [means[0], (means[(n - 1) / 2] + means[n / 2]) / 2.0, means[n - 1]])
+        let means: Vec<f64> = self.times.iter().map(round).collect();
+        (!means.is_empty()).then(|| spread(means))
     }
 
     /// Median of the whole frame; infinite where nothing was timed.

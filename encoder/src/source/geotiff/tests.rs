@@ -558,3 +558,81 @@ fn a_world_file_places_a_picture() {
     assert_eq!(about.affine.unwrap()[0], [20.0, 0.0, 0.0, 5e5]);
     assert_eq!(about.left_out, ["a.tif.aux.xml beside it"]);
 }
+
+/// Colours of a map's columns, row by row.
+fn draped(dir: &Path, heights: &[u8], colors: &[u8]) -> Result<(Vec<[u8; 3]>, About)> {
+    let (map, picture) = (dir.join("heights.tif"), dir.join("ortho.tif"));
+    fs::write(&map, heights).unwrap();
+    fs::write(&picture, colors).unwrap();
+    let world = open_pieces(&map, &ReadOptions { colors: Some(picture), ..ReadOptions::default() })?;
+    let crate::Colors::Column(colors) = whole(&*world)?.colors else { panic!("a colour a column") };
+    Ok((colors, world.about()))
+}
+
+#[test]
+fn colours_are_laid_on_by_coordinates() {
+    let dir = tempfile::tempdir().unwrap();
+    let form = Form::default();
+    // Heights: 4 × 3 pixels of 10 m; colours: 6 × 8 of 5 m, that begin 10 m west and 5 m south of them. A colour says its place.
+    let map = tiff(form, &[MadePage::new([4, 3], 8, 1, vec![5; 12]).placed()]);
+    let strip: Vec<u8> = (0..8u8).flat_map(|z| (0..6u8).flat_map(move |x| [x * 10, z * 10, 200])).collect();
+    let rgb = |crs: u16| {
+        MadePage::new([6, 8], 8, 1, strip.clone())
+            .with(tags::SAMPLES, &[3])
+            .with(tags::PHOTOMETRIC, &[2])
+            .with(tags::GEO_KEYS, &[1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, crs])
+            .doubles(tags::PIXEL_SCALE, &[5.0, 5.0, 0.0])
+            .doubles(tags::TIE_POINTS, &[0.0, 0.0, 0.0, 499_990.0, 4_599_995.0, 0.0])
+    };
+    let (colors, about) = draped(dir.path(), &map, &tiff(form, &[rgb(32_617)])).unwrap();
+    // The middle of column 0 is 15 m from the west of the colours, that of row 0 on their north edge.
+    let at = |x: usize, z: usize| colors[z * 4 + x];
+    assert_eq!([at(0, 0), at(1, 0), at(0, 1), at(1, 2)], [[30, 0, 200], [50, 0, 200], [30, 20, 200], [50, 40, 200]]);
+    assert_eq!([at(2, 0), at(3, 2)], [[128; 3]; 2], "beyond the colours");
+    assert!(about.left_out.iter().any(|l| l.contains("colours of 50.0 % of the columns")), "{:?}", about.left_out);
+    // Another reference system, and another place.
+    let refused = |of| draped(dir.path(), &map, &of).unwrap_err().to_string();
+    assert!(refused(tiff(form, &[rgb(32_618)])).contains("colours lie in EPSG:32618, heights in EPSG:32617"));
+    let mut far = rgb(32_617);
+    far.tags.retain(|t| t.0 != tags::TIE_POINTS);
+    let far = far.doubles(tags::TIE_POINTS, &[0.0, 0.0, 0.0, 400_000.0, 4_599_995.0, 0.0]);
+    assert!(refused(tiff(form, &[far])).contains("lies elsewhere"));
+    // Without a place, pixel by pixel: 4 of 6 across, 3 of 8 down.
+    let mut nowhere = rgb(32_617);
+    nowhere.tags.retain(|t| ![tags::TIE_POINTS, tags::PIXEL_SCALE, tags::GEO_KEYS].contains(&t.0));
+    let (colors, _) = draped(dir.path(), &map, &tiff(form, &[nowhere])).unwrap();
+    assert_eq!([colors[0], colors[3], colors[11]], [[0, 10, 200], [50, 10, 200], [50, 60, 200]]);
+}
+
+#[test]
+fn colour_maps_are_grey_of_a_palette_planar_and_of_16_bits_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let map = tiff(Form::default(), &[MadePage::new([2, 1], 8, 1, vec![5; 2])]);
+    let page = |bits, strip: Vec<u8>, photometric| {
+        MadePage::new([2, 1], bits, 1, strip).with(tags::PHOTOMETRIC, &[photometric])
+    };
+    let colors = |page: MadePage| draped(dir.path(), &map, &tiff(Form::default(), &[page])).map(|(colors, _)| colors);
+    assert_eq!(colors(page(8, vec![7, 9], 1)).unwrap(), [[7; 3], [9; 3]]);
+    assert_eq!(colors(page(8, vec![7, 9], 0)).unwrap(), [[248; 3], [246; 3]]);
+    let wide = [257u16, 514, 771, 1028, 1285, 65_535].iter().flat_map(|v| v.to_le_bytes()).collect();
+    assert_eq!(colors(page(16, wide, 2).with(tags::SAMPLES, &[3])).unwrap(), [[1, 2, 3], [4, 5, 255]]);
+    let mut planar = page(8, vec![1, 2], 2).with(tags::SAMPLES, &[3]).with(tags::PLANAR, &[2]);
+    planar.chunks = vec![vec![1, 2], vec![3, 4], vec![5, 6]];
+    assert_eq!(colors(planar).unwrap(), [[1, 3, 5], [2, 4, 6]]);
+    let mut palette = vec![0u16; 768];
+    (palette[7], palette[256 + 7], palette[512 + 7], palette[9]) = (0x1122, 0x3344, 0x5566, 0xff00);
+    assert_eq!(
+        colors(page(8, vec![7, 9], 3).with(tags::COLOR_MAP, &palette)).unwrap(),
+        [[0x11, 0x33, 0x55], [255, 0, 0]]
+    );
+    assert!(
+        colors(page(8, vec![7, 9], 3))
+            .unwrap_err()
+            .to_string()
+            .contains("tag 320: 0 numbers of a palette, 768 expected")
+    );
+    let floats = [1f32, 2.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let mut float = MadePage::new([2, 1], 32, 3, floats);
+    float = float.with(tags::PHOTOMETRIC, &[1]);
+    assert!(colors(float).unwrap_err().to_string().contains("samples of 32 bits (Float) are no colours"));
+}

@@ -664,3 +664,49 @@ fn vtk_image_data_of_cells_vectors_and_other_directions_are_read() {
     assert!(e.contains("LZMA"), "{e}");
     assert!(error("a.vtk", b"# vtk DataFile Version 3.0\n", "").contains("older text format"));
 }
+
+#[test]
+fn the_values_of_a_volume_are_solid_where_the_volume_is_whatever_is_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.raw");
+    let values: Vec<u8> = (0..5 * 7 * 3u32).map(|i| (i * 37 % 251) as u8).collect();
+    fs::write(&path, &values).unwrap();
+    for up in [Up::X, Up::Y, Up::Z] {
+        let opts = ReadOptions { dims: Some([5, 7, 3]), iso: Some(120.0), up: Some(up), ..ReadOptions::default() };
+        let world = open_pieces(&path, &opts).unwrap();
+        let grid = std::sync::Arc::new(world.grid(1 << 20).unwrap().expect("a volume"));
+        let whole = pieces::whole(&*world).unwrap();
+        assert!(grid.dims() == world.dims() && grid.input(120.0).columns == whole.columns, "{up:?}");
+        assert!(world.grid(10).unwrap().is_none(), "too many voxels");
+    }
+    assert!(
+        open_pieces(Path::new("procedural:rocks?size=16"), &ReadOptions::default())
+            .unwrap()
+            .grid(1 << 20)
+            .unwrap()
+            .is_none()
+    );
+}
+
+#[test]
+fn a_volume_takes_the_colours_of_a_ramp() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.raw");
+    fs::write(&path, (0..64u8).map(|v| v * 4).collect::<Vec<_>>()).unwrap();
+    let opts = |ramp: &str| ReadOptions {
+        dims: Some([1, 64, 1]),
+        iso: Some(4.0),
+        ramp: Some(ramp.into()),
+        ..ReadOptions::default()
+    };
+    let color = |ramp: &str, y| {
+        let scene = crate::build(open(&path, &opts(ramp)).unwrap(), &Default::default()).unwrap();
+        scene.levels[0].colors[y]
+    };
+    // The threshold has the colour at 0.35 of 1.35.
+    assert_eq!(color("grey", 0), [89; 3]);
+    assert!(color("viridis", 0)[2] > 100 && color("viridis", 0) != color("magma", 0));
+    assert_eq!(color("grey", 62), [230; 3]);
+    assert!(!open_pieces(&path, &opts("none")).unwrap().colored());
+    assert!(open_pieces(&path, &opts("nothing")).err().unwrap().to_string().contains("--ramp nothing"));
+}
