@@ -1,6 +1,10 @@
 // Stage shade: colour, screen-space normals, screen-space ambient occlusion, fog and sky.
 // Twin: src/cpu/shade.rs. Grid: pixels.
 //!include shared/frame.wgsl
+//!if SHADOWS
+//!include shared/scene.wgsl
+//!include shared/shadow.wgsl
+//!endif
 
 @group(0) @binding(3) var<storage, read> image_color: array<u32>;
 @group(0) @binding(4) var<storage, read> image_depth: array<u32>;
@@ -126,7 +130,17 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if (NORMALS || OCCLUSION) {
         let n = normal(x, y, z);
         if (NORMALS) {
+//!if SHADOWS
+            var sun = max(dot(n, frame.sun), 0.0);
+            if (sun > 0.0) {
+                let size = max(frame.size * z, 1.0);
+                let start = ray * z + n * shadow_bias(size, 1.0 / (frame.pixel * z));
+                let from_eye = frame.axis_right * start.x + frame.axis_up * start.y + frame.axis_forward * start.z;
+                sun = select(0.0, sun, sun_shines(from_eye, size));
+            }
+//!else
             let sun = max(dot(n, frame.sun), 0.0);
+//!endif
             light = frame.ambient + (1.0 - frame.ambient) * (0.25 * dot(n, frame.up) + 0.25 + 0.75 * sun);
         }
         if (OCCLUSION) {

@@ -404,6 +404,13 @@ pub struct DrawArgs {
     /// light]
     #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = sun)]
     sun: Option<[f64; 2]>,
+    /// What stands before the sun throws shadows; of the usual light without --sun
+    #[arg(long, value_enum, value_name = "on|off", default_value = "off")]
+    shadows: Switch,
+    /// A height field as a surface where it is near, and lit as one, not as blocks [default: on for height maps that are opened to
+    /// be looked at]
+    #[arg(long, value_enum, value_name = "on|off")]
+    smooth: Option<Switch>,
     /// The sky in pictures; none leaves it transparent in PNG files
     #[arg(long, value_enum, value_name = "SKY", default_value = "shown")]
     sky: SkyArg,
@@ -472,6 +479,12 @@ enum ShadingArg {
     Ssn,
     Ssao,
     Full,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Switch {
+    On,
+    Off,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -624,6 +637,8 @@ impl DrawArgs {
             ssao_samples: self.ssao_samples,
             fog: self.fog,
             sun: self.sun,
+            shadows: self.shadows == Switch::On,
+            smooth: self.smooth == Some(Switch::On),
             sky: self.sky == SkyArg::Shown,
             specialize: self.specialize,
         };
@@ -1219,7 +1234,7 @@ mod tests {
         assert_eq!(usual, Options::default());
         let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --samples 150% --cull horizon,bits \
                    --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500 \
-                   --sun 315,-4.5 --sky none --specialize heights,upright";
+                   --sun 315,-4.5 --shadows on --smooth on --sky none --specialize heights,upright";
         let expected = Options {
             view_distance: 40_000.0,
             repeat: Repeat { x: true, z: true },
@@ -1236,6 +1251,8 @@ mod tests {
             ssao_samples: 5,
             fog: Some(2500.0),
             sun: Some([315.0, -4.5]),
+            shadows: true,
+            smooth: true,
             sky: false,
             specialize: [crate::Feature::Heights, crate::Feature::Upright].into_iter().collect(),
         };
@@ -1256,7 +1273,7 @@ mod tests {
     #[test]
     fn cli_flags_that_options_give_draw_with_them() {
         let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --samples 62.5% --cull horizon,coarse \
-                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --sky none --specialize heights,packed";
+                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --shadows on --smooth on --sky none --specialize heights,packed";
         for flags in ["", all, "--planes 7 --lod off --cull none --repeat xz --shading none"] {
             let options = render(flags).draw.options();
             assert_eq!(render(&options.flags()).draw.options(), options, "{}", options.flags());

@@ -163,6 +163,16 @@ fn meet(columns: &Columns, column: usize, eye: f64, dy: f64, t0: f64, t1: f64) -
     }
 }
 
+/// How far is drawn, in voxels.
+pub fn view_distance(options: &Options) -> f64 {
+    let repeats = options.repeat.x || options.repeat.z;
+    match repeats {
+        false => options.view_distance,
+        true if options.view_distance.is_finite() => options.view_distance.min(FARTHEST_VIEW),
+        true => REPEATED_VIEW_DISTANCE,
+    }
+}
+
 /// Renders into `color` (packed, 0 for sky), `depth` and, unless empty, `voxel`.
 pub fn exact(
     scene: &Scene,
@@ -176,11 +186,7 @@ pub fn exact(
     let basis = camera.basis();
     let columns = scene.levels[0].geometry(scene.encoding);
     let repeats = [options.repeat.x, options.repeat.z];
-    let view = if options.view_distance.is_finite() || repeats == [false, false] {
-        options.view_distance.min(if repeats == [false, false] { f64::INFINITY } else { FARTHEST_VIEW })
-    } else {
-        REPEATED_VIEW_DISTANCE
-    };
+    let view = view_distance(options);
     let wants_voxel = !voxel.is_empty();
     let width = camera.width as usize;
     let mut no_voxel = vec![[0; 4]; if wants_voxel { 0 } else { color.len() }];

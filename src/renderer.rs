@@ -3,6 +3,7 @@
 use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
+use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
 use crate::cpu::{gap_fill, refine, remap, shade};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
@@ -27,6 +28,8 @@ pub struct CpuRenderer {
     /// A frame whose memory the next one takes.
     spare: Option<Frame>,
     shade: shade::Scratch,
+    /// Made for the first frame with shadows.
+    tops: Option<Arc<Tops>>,
 }
 
 /// What is wanted beside colour and depth.
@@ -111,7 +114,7 @@ impl CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
-        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade }
+        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade, tops: None }
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -144,7 +147,7 @@ impl CpuRenderer {
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
-        self.shade(camera, options, &mut frame);
+        self.shade(camera, options, Some(&setup), &mut frame);
         let shade_ms = milliseconds(at);
 
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "planes");
@@ -177,7 +180,7 @@ impl CpuRenderer {
         crate::exact::exact(&self.scene, &self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
-        self.shade(camera, options, &mut frame);
+        self.shade(camera, options, None, &mut frame);
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "exact", "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
@@ -188,9 +191,24 @@ impl CpuRenderer {
         Ok(frame)
     }
 
-    fn shade(&mut self, camera: &Camera, options: &Options, frame: &mut Frame) {
+    /// Shades what a walk in planes drew, or, without a setup, what `exact` did.
+    fn shade(&mut self, camera: &Camera, options: &Options, setup: Option<&Setup>, frame: &mut Frame) {
         let params = shade::ShadeParams::new(camera, options);
-        shade::shade(&params, &self.color, &frame.depth, &mut self.shade, &mut frame.color);
+        let sunlight = match (options.shadows, setup) {
+            (false, _) => None,
+            (true, Some(setup)) => {
+                let tops = self.tops.get_or_insert_with(|| Arc::new(Tops::new(&self.resident)));
+                Some(Sunlight::Walk(Shadows::new(&self.resident, tops, setup, params.sun_world)))
+            }
+            (true, None) => Some(Sunlight::Exact(ExactShadows {
+                columns: self.scene.levels[0].geometry(self.scene.encoding),
+                repeats: [options.repeat.x, options.repeat.z],
+                eye: camera.eye,
+                sun: params.sun_world.as_dvec3(),
+                view: crate::exact::view_distance(options),
+            })),
+        };
+        shade::shade(&params, &self.color, &frame.depth, sunlight.as_ref(), &mut self.shade, &mut frame.color);
     }
 
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {
@@ -338,6 +356,8 @@ pub(crate) fn frame_stats(
         Shading::Ssao => specialization.push("ssao".into()),
         Shading::Full => specialization.extend(["ssn".into(), "ssao".into()]),
     }
+    specialization.extend(options.shadows.then(|| "shadows".into()));
+    specialization.extend(options.smooth.then(|| "smooth".into()));
     Stats {
         device: device.into(),
         kernel: kernel.into(),

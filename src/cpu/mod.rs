@@ -4,4 +4,5 @@ pub mod gap_fill;
 pub mod refine;
 pub mod remap;
 pub mod shade;
+pub mod shadow;
 pub mod traverse;

@@ -7,6 +7,7 @@
 //! Mittring 2007, which needs no normals). Everything is f32 and a function of the pixel's neighbourhood alone.
 
 use crate::camera::Camera;
+use crate::cpu::shadow::{Sunlight, bias, size_at_1};
 use crate::cpu::traverse::has_avx2;
 use crate::options::{Options, Shading};
 use glam::Vec3;
@@ -54,6 +55,13 @@ pub struct ShadeParams {
     pub sky: bool,
     /// 1 / fog distance, 0 for clear air.
     pub fog: f32,
+    /// The camera's axes (right, up, forward) and the sun in the world.
+    pub axes: [Vec3; 3],
+    pub sun_world: Vec3,
+    /// Size of a voxel drawn at depth 1.
+    pub size: f32,
+    /// Whether voxels stand for a surface, and are no blocks however near.
+    pub smooth: bool,
 }
 
 impl ShadeParams {
@@ -80,6 +88,10 @@ impl ShadeParams {
             ambient: if options.sun.is_some() { AMBIENT_SUN } else { AMBIENT },
             sky: options.sky,
             fog: options.fog.map_or(0.0, |f| (1.0 / f) as f32),
+            axes: [basis.right, basis.up, basis.forward].map(|v| v.as_vec3()),
+            sun_world: sun.as_vec3(),
+            size: size_at_1(options, (1.0 / camera.focal()) as f32),
+            smooth: options.smooth,
         }
     }
 }
@@ -181,14 +193,22 @@ impl Scratch {
     }
 }
 
-/// Shades a frame: packed colours (0 for sky) and depths in, sRGB out.
-pub fn shade(p: &ShadeParams, color: &[u32], depth: &[f32], scratch: &mut Scratch, out: &mut [[u8; 4]]) {
+/// Shades a frame: packed colours (0 for sky) and depths in, sRGB out. `sunlight`: who tells what is in the shadow, where that
+/// is asked for.
+pub fn shade(
+    p: &ShadeParams,
+    color: &[u32],
+    depth: &[f32],
+    sunlight: Option<&Sunlight<'_>>,
+    scratch: &mut Scratch,
+    out: &mut [[u8; 4]],
+) {
     scratch.fill(p, depth);
     let w = p.width as usize;
     let avx2 = has_avx2();
     let tasks = out.par_chunks_mut(ROWS_A_TASK * w).zip(color.par_chunks(ROWS_A_TASK * w)).enumerate();
     tasks.for_each(|(task, (out, color))| {
-        let task = RowsTask { p, scratch, first_row: task * ROWS_A_TASK, color, out };
+        let task = RowsTask { p, sunlight, scratch, first_row: task * ROWS_A_TASK, color, out };
         #[cfg(target_arch = "x86_64")]
         if avx2 {
             // SAFETY: `has_avx2` has seen that the processor can.
@@ -202,6 +222,7 @@ pub fn shade(p: &ShadeParams, color: &[u32], depth: &[f32], scratch: &mut Scratc
 /// Some rows of a picture.
 struct RowsTask<'a> {
     p: &'a ShadeParams,
+    sunlight: Option<&'a Sunlight<'a>>,
     scratch: &'a Scratch,
     first_row: usize,
     color: &'a [u32],
@@ -217,7 +238,7 @@ fn shade_rows_avx2(task: RowsTask<'_>) {
 
 #[inline(always)]
 fn shade_rows(task: RowsTask<'_>) {
-    let RowsTask { p, scratch, first_row, color, out } = task;
+    let RowsTask { p, sunlight, scratch, first_row, color, out } = task;
     let w = p.width as usize;
     let mut words = [[0u32; LANES]; PHASES];
     for (r, (color, out)) in color.chunks_exact(w).zip(out.chunks_exact_mut(w)).enumerate() {
@@ -235,7 +256,7 @@ fn shade_rows(task: RowsTask<'_>) {
             }
             for (phase, words) in words.iter_mut().enumerate() {
                 let x = (block * PHASES * LANES + phase) as i32;
-                Block { p, scratch, x, y: (first_row + r) as i32 }.shade(words);
+                Block { p, sunlight, scratch, x, y: (first_row + r) as i32 }.shade(words);
             }
             let mut whole = out.chunks_exact_mut(PHASES);
             for (lane, out) in whole.by_ref().enumerate() {
@@ -288,6 +309,7 @@ fn pack(c: [f32; 3]) -> u32 {
 /// The pixels of a phase from (`x`, `y`) on. Loops over lanes have no branches: compilers make vectors of them.
 struct Block<'a> {
     p: &'a ShadeParams,
+    sunlight: Option<&'a Sunlight<'a>>,
     scratch: &'a Scratch,
     x: i32,
     y: i32,
@@ -357,7 +379,9 @@ impl<'a> Block<'a> {
         let mut light = [1.0; LANES];
         if p.normals || p.occlusion {
             let n = self.normal();
-            if p.normals {
+            if let Some(sunlight) = self.sunlight {
+                self.light_of_sun(&n, sunlight, &mut light);
+            } else if p.normals {
                 let [nx, ny, nz] = &n;
                 for (light, ((&nx, &ny), &nz)) in light.iter_mut().zip(nx.iter().zip(ny).zip(nz)) {
                     let up = nx * p.up.x + ny * p.up.y + nz * p.up.z;
@@ -382,6 +406,26 @@ impl<'a> Block<'a> {
                 let lit = ((color >> (8 * c)) & 255) as i32 as f32 * light;
                 lit + (SKY_HORIZON[c as usize] * 255.0 - lit) * haze
             }));
+        }
+    }
+
+    /// Light of the sun where it shines, and of the sky.
+    #[inline(always)]
+    fn light_of_sun(&self, [nx, ny, nz]: &[Lanes; 3], sunlight: &Sunlight<'_>, light: &mut Lanes) {
+        let p = self.p;
+        let z = self.depth(0, 0);
+        let (rx, ry) = self.rays(0, 0);
+        let world = |v: Vec3| p.axes[0] * v.x + p.axes[1] * v.y + p.axes[2] * v.z;
+        for i in 0..LANES {
+            let n = Vec3::new(nx[i], ny[i], nz[i]);
+            let up = n.x * p.up.x + n.y * p.up.y + n.z * p.up.z;
+            let mut sun = greatest(n.x * p.sun.x + n.y * p.sun.y + n.z * p.sun.z, 0.0);
+            if sun > 0.0 && z[i] < f32::INFINITY {
+                let size = greatest(p.size * z[i], 1.0);
+                let start = Vec3::new(rx[i], ry, 1.0) * z[i] + n * bias(size, 1.0 / (p.pixel * z[i]), p.smooth);
+                sun = if sunlight.lit(world(start), size) { sun } else { 0.0 };
+            }
+            light[i] = p.ambient + (1.0 - p.ambient) * (0.25 * up + 0.25 + 0.75 * sun);
         }
     }
 
@@ -514,7 +558,7 @@ mod tests {
         let color: Vec<u32> =
             (0..n).map(|i| if beside(i) { 0 } else { u32::from_le_bytes([204, 104, 50, 255]) }).collect();
         let mut out = vec![[1; 4]; n];
-        shade(&ShadeParams::new(camera, options), &color, &depth, scratch, &mut out);
+        shade(&ShadeParams::new(camera, options), &color, &depth, None, scratch, &mut out);
         out
     }
 

@@ -14,6 +14,7 @@ pub mod types;
 use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::cpu::shade;
+use crate::cpu::shadow::Tops;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
@@ -125,6 +126,8 @@ pub struct GpuRenderer {
     free: Vec<wgpu::Buffer>,
     /// Frames whose memory later ones take.
     spare: Vec<Frame>,
+    /// Made and sent for the first frame with shadows.
+    tops: Option<Tops>,
     /// What was worked out for frames to come, in their order.
     prepared: VecDeque<Prepared>,
     /// Whether frames that are read back have depths.
@@ -324,6 +327,7 @@ impl GpuRenderer {
             pending,
             free,
             spare: Vec::new(),
+            tops: None,
             prepared: VecDeque::new(),
             depth: true,
             shown,
@@ -531,13 +535,16 @@ impl GpuRenderer {
             frame.stats.bytes_scene_gpu = self.tables.bytes;
             return Ok(Drawn::Inside(Box::new(frame)));
         }
-        let Prepared { setup, upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
+        let Prepared { setup, mut upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
             Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
             None => Prepared::new(&self.resident, camera, options),
         };
         self.check_steps(&setup, options)?;
         let plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
+        if plan.shadows {
+            self.shadows(&mut upload.frame)?;
+        }
         self.upload(&upload, camera, options.ssao_samples);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -628,6 +635,8 @@ struct Plan {
     stage_times: bool,
     shading: Shading,
     ssao_samples: u32,
+    shadows: bool,
+    smooth: bool,
     specialization: Specialization,
 }
 
@@ -668,6 +677,8 @@ impl Plan {
             stage_times: gpu.stage_times,
             shading: options.lit(),
             ssao_samples: options.ssao_samples,
+            shadows: options.shadows,
+            smooth: options.smooth,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
         match gpu.kernel {
@@ -797,6 +808,24 @@ impl GpuRenderer {
                 self.engine.buffer(name, size, usage)
             })?;
             self.buffers.insert(name, buffer);
+        }
+        Ok(())
+    }
+
+    /// Sends what walks towards the sun need, once, and tells the frame of it.
+    fn shadows(&mut self, frame: &mut FrameParams) -> Result<()> {
+        if self.tops.is_none() {
+            let tops = Tops::new(&self.resident);
+            let words = tops.words();
+            let buffer = self.engine.checked("tops of the scene", || {
+                self.engine.buffer("tops", 4 * words.len() as u64, wgpu::BufferUsages::STORAGE)
+            })?;
+            self.engine.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&words));
+            self.buffers.insert("tops", buffer);
+            self.tops = Some(tops);
+        }
+        if let Some(tops) = &self.tops {
+            (frame.top_levels, frame.world_top) = (tops.levels.len() as u32, tops.top as f32);
         }
         Ok(())
     }
@@ -979,9 +1008,16 @@ impl GpuRenderer {
         let on = |b: bool| f64::from(u8::from(b));
         let bgra = on(order == ByteOrder::Bgra);
         let samples = f64::from(plan.ssao_samples);
-        let constants =
-            [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
-        let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
+        let mut constants =
+            vec![("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
+        let mut defines = Vec::new();
+        if plan.shadows {
+            defines.push("SHADOWS");
+            defines.extend(plan.specialization.has(Feature::Heights).then_some("HEIGHTS"));
+            let repeats = on(!plan.specialization.has(Feature::Bounded));
+            constants.extend([("SMOOTH", on(plan.smooth)), ("REPEATS", repeats)]);
+        }
+        let pipeline = self.engine.pipeline("shade", &self.variant(&defines), &constants)?;
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         self.record(recorder, "shade", 2, |pass| self.dispatch(pass, &pipeline, &[], grid));
         self.shaded_order = order;

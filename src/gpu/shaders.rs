@@ -5,7 +5,7 @@
 //! its name that reads one element. Constants have their home in Rust and are written in front of every shader.
 
 use crate::cpu::remap::HOLE;
-use crate::cpu::{refine, shade};
+use crate::cpu::{refine, shade, shadow};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
 use crate::resident::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
@@ -26,6 +26,7 @@ const FILES: &[(&str, &str)] = files![
     "shared/place.wgsl",
     "shared/sample.wgsl",
     "shared/ray.wgsl",
+    "shared/shadow.wgsl",
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
@@ -82,6 +83,11 @@ fn header() -> String {
     constant("FARTHEST", format!("{:?}f", refine::FARTHEST));
     constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
     constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));
+    constant("SHADOW_STEPS", format!("{}u", shadow::STEPS));
+    constant("SHADOW_BIAS", format!("{:?}f", shadow::BIAS));
+    constant("SHADOW_BIAS_BLOCKS", format!("{:?}f", shadow::BIAS_BLOCKS));
+    constant("SHADOW_PAST", format!("{:?}f", shadow::PAST[0]));
+    constant("SHADOW_PAST_SHARE", format!("{:?}f", shadow::PAST[1]));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
     constant("SKY_ZENITH", rgb(shade::SKY_ZENITH));
@@ -198,6 +204,7 @@ mod tests {
                         &["RETEST", "REFINE"],
                         &["RETEST", "REFINE", "PACKED", "LATE_COLOR"],
                         &["INDEX"],
+                        &["SHADOWS"],
                         &["GATHER"],
                     ] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
@@ -346,7 +353,15 @@ mod tests {
                     fog,
                     ambient,
                     sky,
-                    view_distance
+                    view_distance,
+                    axis_right,
+                    size,
+                    axis_up,
+                    top_levels,
+                    axis_forward,
+                    world_top,
+                    sun_world,
+                    shadow_end
                 }),
             ),
         ]
