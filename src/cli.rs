@@ -16,7 +16,7 @@ use glam::DVec3;
 use planecast_encoder::cli::{InputArgs, Made};
 use planecast_encoder::source::ReadOptions;
 use planecast_encoder::write::{keep_input, resolved};
-use planecast_encoder::{Error as FileError, Scene, guard, info, note, say};
+use planecast_encoder::{About, Error as FileError, Scene, guard, info, note, say};
 use serde_json::json;
 
 use crate::aim::{AimArgs, Typed};
@@ -36,9 +36,10 @@ use crate::report;
 #[cfg(feature = "report")]
 use crate::stability;
 use crate::tour::{self, View};
+use crate::world::is_surface;
 use crate::video::{Encoder, padded, segment_frames};
 use crate::{
-    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo,
+    Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo,
     help, output, pick, renderer, view,
 };
 
@@ -407,6 +408,9 @@ pub struct DrawArgs {
     /// What stands before the sun throws shadows; of the usual light without --sun
     #[arg(long, value_enum, value_name = "on|off", default_value = "off")]
     shadows: Switch,
+    /// What surfaces are lit by: depths of the pixels around, or what is solid around each voxel
+    #[arg(long, value_enum, value_name = "FROM", default_value = "screen")]
+    normals: NormalsArg,
     /// A height field as a surface where it is near, and lit as one, not as blocks [default: on for height maps that are opened to
     /// be looked at]
     #[arg(long, value_enum, value_name = "on|off")]
@@ -479,6 +483,12 @@ enum ShadingArg {
     Ssn,
     Ssao,
     Full,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum NormalsArg {
+    Screen,
+    Derived,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -638,6 +648,11 @@ impl DrawArgs {
             fog: self.fog,
             sun: self.sun,
             shadows: self.shadows == Switch::On,
+            normals: match self.normals {
+                NormalsArg::Screen => Normals::Screen,
+                NormalsArg::Derived => Normals::Derived,
+            },
+            // Where nothing is said, that is decided when the scene is known.
             smooth: self.smooth == Some(Switch::On),
             sky: self.sky == SkyArg::Shown,
             specialize: self.specialize,
@@ -684,9 +699,23 @@ fn tell(what: &str) {
     note!("{what}");
 }
 
-fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<Scene> {
+fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<(Scene, Surface)> {
     let opened = planecast_encoder::cli::open(path, read)?;
-    Ok(planecast_encoder::cli::read_scene(&opened.file, skip_broken)?)
+    let surface = Surface::of(&opened);
+    Ok((planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface))
+}
+
+/// What is known of the surface that a scene stands for.
+struct Surface {
+    stands: bool,
+    about: About,
+}
+
+impl Surface {
+    fn of(opened: &planecast_encoder::open::Opened) -> Surface {
+        let about = opened.file.about().clone();
+        Surface { stands: is_surface(&about, opened.encoded), about }
+    }
 }
 
 /// How an input is read that a person is to look at.
@@ -700,8 +729,8 @@ fn named_file(path: &PathBuf) -> Option<&PathBuf> {
 }
 
 /// A scene and its tables, as renderers share them.
-fn shared(scene: Scene, features: Features) -> (Arc<Scene>, Arc<Resident>) {
-    let resident = Resident::with(&scene, features);
+fn shared(scene: Scene, features: Features, surface: &Surface) -> (Arc<Scene>, Arc<Resident>) {
+    let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
     (Arc::new(scene), Arc::new(resident))
 }
 
@@ -732,11 +761,14 @@ impl RenderArgs {
         ];
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
-        let options = self.draw.options();
-        let scene = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        let mut options = self.draw.options();
+        let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
         let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
-        let (scene, resident) = shared(scene, self.draw.specialize);
+        let (scene, resident) = shared(scene, self.draw.specialize, &surface);
+        // Who asks for depths or voxels measures what is there.
+        let measured = self.depth.is_some() || self.voxel.is_some();
+        options.smooth |= self.draw.smooth.is_none() && !measured && surface.stands && resident.heights;
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
@@ -794,13 +826,15 @@ impl FlyArgs {
         }
         check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
         self.draw.set_threads()?;
-        let options = self.draw.options();
+        let mut options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         if self.aim.is_given() && (self.path.is_some() || self.tour) {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
         }
-        let file = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?.file;
+        let opened = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?;
+        let surface = Surface::of(&opened);
+        let file = opened.file;
         let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
@@ -839,7 +873,8 @@ impl FlyArgs {
             })?;
         }
 
-        let (scene, resident) = shared(scene, self.draw.specialize);
+        let (scene, resident) = shared(scene, self.draw.specialize, &surface);
+        options.smooth |= self.draw.smooth.is_none() && surface.stands && resident.heights;
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
         renderer.set_depth(false);
@@ -915,6 +950,7 @@ impl ViewArgs {
             device: self.draw.device,
             kernel: self.draw.kernel.clone(),
             options: self.draw.options(),
+            smooth: self.draw.smooth.map(|smooth| smooth == Switch::On),
             size: self.window,
             full_screen: self.full_screen,
             target_fps: self.target_fps,
@@ -1010,7 +1046,7 @@ fn end_on_ctrl_c() {
 
 impl PickArgs {
     fn run(&self) -> Result<()> {
-        let report = pick::report(&open_scene(&self.scene, &self.input.read, false)?, self.from, self.dir)?;
+        let report = pick::report(&open_scene(&self.scene, &self.input.read, false)?.0, self.from, self.dir)?;
         print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
     }
 }
@@ -1234,7 +1270,7 @@ mod tests {
         assert_eq!(usual, Options::default());
         let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --samples 150% --cull horizon,bits \
                    --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500 \
-                   --sun 315,-4.5 --shadows on --smooth on --sky none --specialize heights,upright";
+                   --sun 315,-4.5 --shadows on --normals derived --smooth on --sky none --specialize heights,upright";
         let expected = Options {
             view_distance: 40_000.0,
             repeat: Repeat { x: true, z: true },
@@ -1252,6 +1288,7 @@ mod tests {
             fog: Some(2500.0),
             sun: Some([315.0, -4.5]),
             shadows: true,
+            normals: Normals::Derived,
             smooth: true,
             sky: false,
             specialize: [crate::Feature::Heights, crate::Feature::Upright].into_iter().collect(),
@@ -1273,7 +1310,7 @@ mod tests {
     #[test]
     fn cli_flags_that_options_give_draw_with_them() {
         let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --samples 62.5% --cull horizon,coarse \
-                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --shadows on --smooth on --sky none --specialize heights,packed";
+                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --shadows on --normals derived --smooth on --sky none --specialize heights,packed";
         for flags in ["", all, "--planes 7 --lod off --cull none --repeat xz --shading none"] {
             let options = render(flags).draw.options();
             assert_eq!(render(&options.flags()).draw.options(), options, "{}", options.flags());

@@ -145,7 +145,7 @@ pub use error::{Error, Result};
 pub use frame::{Frame, StageTimes, Stats};
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuOptions, GpuRenderer, Kernel};
-pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
+pub use options::{Culling, Normals, Options, Planes, Remap, Repeat, Shading};
 pub use renderer::{CpuRenderer, Outputs};
 pub use resident::Resident;
 pub use specialize::{Feature, Features};

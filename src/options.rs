@@ -82,6 +82,16 @@ pub enum Shading {
     Full,
 }
 
+/// What surfaces are lit by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Normals {
+    /// The depths of the pixels around ([`Shading::Ssn`]).
+    #[default]
+    Screen,
+    /// What is solid around each voxel, where the scene has its solid interior.
+    Derived,
+}
+
 /// Everything but the camera and the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
@@ -112,6 +122,8 @@ pub struct Options {
     pub sun: Option<[f64; 2]>,
     /// Whether what stands before the sun throws shadows; of the usual light where no sun is given.
     pub shadows: bool,
+    /// Where normals come from.
+    pub normals: Normals,
     /// Whether a height field is drawn as a surface where it is near, and lit as one, instead of as blocks.
     pub smooth: bool,
     /// Whether pixels of sky show it; else they are transparent.
@@ -139,6 +151,7 @@ impl Default for Options {
             fog: None,
             sun: None,
             shadows: false,
+            normals: Normals::Screen,
             smooth: false,
             sky: true,
             specialize: Features::ALL,
@@ -195,6 +208,7 @@ impl Options {
         let [azimuth, elevation] = o.sun.unwrap_or_default();
         add(o.sun.is_some(), format!("--sun={azimuth},{elevation}"));
         add(o.shadows, "--shadows on".into());
+        add(o.normals == Normals::Derived, "--normals derived".into());
         add(o.smooth, "--smooth on".into());
         add(!o.sky, "--sky none".into());
         add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));

@@ -3,15 +3,18 @@
 use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
+use crate::cpu::normal::Occupancy;
+use crate::cpu::shade::NormalsOf;
 use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
+use crate::cpu::smooth::{self, Ground};
 use crate::cpu::{gap_fill, refine, remap, shade};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
+use crate::options::{Normals, Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
 use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::resident::Resident;
 use crate::specialize::{Specialization, Twin};
-use planecast_encoder::{ColorMode, Scene};
+use planecast_encoder::{ColorMode, Encoding, Scene};
 use std::sync::Arc;
 
 /// Pixels a frame may have.
@@ -30,6 +33,8 @@ pub struct CpuRenderer {
     shade: shade::Scratch,
     /// Made for the first frame with shadows.
     tops: Option<Arc<Tops>>,
+    /// The same of the first that is smooth, and along which axes its world repeats.
+    surface: Option<(Arc<Tops>, [bool; 2])>,
 }
 
 /// What is wanted beside colour and depth.
@@ -114,7 +119,7 @@ impl CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
-        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade, tops: None }
+        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade, tops: None, surface: None }
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -144,6 +149,9 @@ impl CpuRenderer {
 
         let at = Instant::now();
         let holes = self.remap(&setup, camera, options, retest, &mut frame);
+        if options.smooth {
+            self.smooth(&setup, camera, &mut frame);
+        }
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
@@ -191,6 +199,16 @@ impl CpuRenderer {
         Ok(frame)
     }
 
+    /// The surface of a height field, over its blocks.
+    fn smooth(&mut self, setup: &Setup, camera: &Camera, frame: &mut Frame) {
+        let known = self.surface.take().filter(|(_, repeats)| *repeats == setup.repeats);
+        self.surface = known.or_else(|| Some((Arc::new(Tops::over_surface(&self.resident, setup.repeats)?), setup.repeats)));
+        let Some((tops, _)) = &self.surface else { return };
+        let (color, doubt) = (&mut self.color, &mut self.doubt);
+        let mut pixels = remap::Pixels { color, depth: &mut frame.depth, voxel: &mut frame.voxel, doubt };
+        smooth::smooth(&self.resident, tops, setup, camera, &mut pixels);
+    }
+
     /// Shades what a walk in planes drew, or, without a setup, what `exact` did.
     fn shade(&mut self, camera: &Camera, options: &Options, setup: Option<&Setup>, frame: &mut Frame) {
         let params = shade::ShadeParams::new(camera, options);
@@ -208,7 +226,28 @@ impl CpuRenderer {
                 view: crate::exact::view_distance(options),
             })),
         };
-        shade::shade(&params, &self.color, &frame.depth, sunlight.as_ref(), &mut self.shade, &mut frame.color);
+        let repeats = [options.repeat.x, options.repeat.z];
+        let ground = options.smooth.then(|| Ground::new(&self.resident, repeats)).flatten();
+        let surface = ground.map(|ground| match setup {
+            Some(setup) => smooth::Normals::new(ground, setup.eye_cell, setup.eye_fract),
+            None => {
+                let cell = camera.eye.floor();
+                smooth::Normals::new(ground, cell.to_array().map(|v| v as i32), (camera.eye - cell).to_array())
+            }
+        });
+        let of_exact;
+        let derived = derives_normals(&self.scene, options) && surface.is_none();
+        let setup = match setup {
+            None if derived => {
+                of_exact = plane_setup(&self.resident, camera, options);
+                Some(&of_exact)
+            }
+            setup => setup,
+        };
+        let occupancy = setup.filter(|_| derived).map(|setup| Occupancy::new(&self.resident, setup));
+        let normals = surface.map(NormalsOf::Surface).or(occupancy.map(NormalsOf::Occupancy));
+        let lighting = shade::Lighting { sunlight, normals };
+        shade::shade(&params, &self.color, &frame.depth, &lighting, &mut self.shade, &mut frame.color);
     }
 
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {
@@ -280,6 +319,12 @@ impl CpuRenderer {
         }
         holes
     }
+}
+
+/// Whether normals come from what is solid: not where the interior was left out, nor where nothing is lit by them.
+pub(crate) fn derives_normals(scene: &Scene, options: &Options) -> bool {
+    let lit = options.lit() != Shading::None;
+    options.normals == Normals::Derived && lit && scene.encoding == Encoding::Solid
 }
 
 /// An eye inside a solid voxel sees that voxel at depth 0 in every pixel.
@@ -357,6 +402,7 @@ pub(crate) fn frame_stats(
         Shading::Full => specialization.extend(["ssn".into(), "ssao".into()]),
     }
     specialization.extend(options.shadows.then(|| "shadows".into()));
+    specialization.extend(derives_normals(scene, options).then(|| "derived-normals".into()));
     specialization.extend(options.smooth.then(|| "smooth".into()));
     Stats {
         device: device.into(),

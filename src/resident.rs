@@ -84,6 +84,9 @@ pub struct Resident {
     pub levels: Vec<ResidentLevel>,
     /// Whether all levels have heights instead of runs.
     pub heights: bool,
+    /// By how much the surface that level 0 stands for is higher than its columns, in 256ths of a voxel, 128 more; empty where that
+    /// is not known.
+    pub fractions: Vec<u8>,
 }
 
 /// Packs a colour for the kernels: r in the low byte, alpha 255.
@@ -120,7 +123,14 @@ impl Resident {
             };
             ResidentLevel { column_colors, ..resident_level(geometry, paint, heights) }
         });
-        Resident { dims: scene.dims(), color: scene.color, levels: levels.collect(), heights }
+        Resident { dims: scene.dims(), color: scene.color, levels: levels.collect(), heights, fractions: Vec::new() }
+    }
+
+    /// The same with what is known of the surface that a height field stands for.
+    pub fn with_fractions(self, fractions: &[u8]) -> Resident {
+        let columns = self.levels.first().map_or(0, |level| level.nx as usize * level.nz as usize);
+        let fits = self.heights && fractions.len() == columns;
+        Resident { fractions: if fits { fractions.to_vec() } else { Vec::new() }, ..self }
     }
 
     /// Bytes that the tables take.
@@ -138,7 +148,7 @@ impl Resident {
             };
             (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
         };
-        self.levels.iter().map(level).sum()
+        self.levels.iter().map(level).sum::<u64>() + self.fractions.len() as u64
     }
 }
 

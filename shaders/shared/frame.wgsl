@@ -63,6 +63,11 @@ struct Frame {
     sun_world: vec3<f32>,
     // Where walks towards the sun end.
     shadow_end: f32,
+    // Levels of `surface_tops`, 0 where no surface is drawn, the highest of them, and up to what depth it is drawn.
+    surface_levels: u32,
+    surface_top: f32,
+    smooth_near: f32,
+    _pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

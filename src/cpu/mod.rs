@@ -1,8 +1,10 @@
 //! The stages on the CPU, with rayon over planes or rows. Each has its GPU twin in `shaders/` under the same name.
 
 pub mod gap_fill;
+pub mod normal;
 pub mod refine;
 pub mod remap;
 pub mod shade;
 pub mod shadow;
+pub mod smooth;
 pub mod traverse;

@@ -15,12 +15,13 @@ use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::cpu::shade;
 use crate::cpu::shadow::Tops;
+use crate::cpu::smooth::{self, Ground};
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Shading};
 use crate::plane_setup::{Setup, plane_setup};
-use crate::renderer::{Outputs, check, frame_stats, inside_solid};
+use crate::renderer::{Outputs, check, derives_normals, frame_stats, inside_solid};
 use crate::resident::Resident;
 use crate::specialize::{Feature, Specialization, Twin};
 pub use engine::Shader;
@@ -128,6 +129,8 @@ pub struct GpuRenderer {
     spare: Vec<Frame>,
     /// Made and sent for the first frame with shadows.
     tops: Option<Tops>,
+    /// The same of the first that is smooth, and along which axes its world repeats.
+    surface: Option<(Tops, [bool; 2])>,
     /// What was worked out for frames to come, in their order.
     prepared: VecDeque<Prepared>,
     /// Whether frames that are read back have depths.
@@ -328,6 +331,7 @@ impl GpuRenderer {
             free,
             spare: Vec::new(),
             tops: None,
+            surface: None,
             prepared: VecDeque::new(),
             depth: true,
             shown,
@@ -540,10 +544,14 @@ impl GpuRenderer {
             None => Prepared::new(&self.resident, camera, options),
         };
         self.check_steps(&setup, options)?;
-        let plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
+        let mut plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
+        plan.derived = derives_normals(&self.scene, options);
         self.reserve(&plan)?;
         if plan.shadows {
             self.shadows(&mut upload.frame)?;
+        }
+        if plan.smooth {
+            self.surface(&setup, &mut upload.frame)?;
         }
         self.upload(&upload, camera, options.ssao_samples);
 
@@ -567,6 +575,9 @@ impl GpuRenderer {
                 self.write("image_color", bytemuck::cast_slice(color));
                 self.write("image_depth", bytemuck::cast_slice(depth));
             }
+        }
+        if plan.smooth && !matches!(begin, Begin::Image { .. }) {
+            self.smooth(&mut recorder, &plan)?;
         }
         self.shade(&mut recorder, &plan, order)?;
         let Recorder { pass, mut encoder } = recorder;
@@ -637,6 +648,7 @@ struct Plan {
     ssao_samples: u32,
     shadows: bool,
     smooth: bool,
+    derived: bool,
     specialization: Specialization,
 }
 
@@ -678,9 +690,12 @@ impl Plan {
             shading: options.lit(),
             ssao_samples: options.ssao_samples,
             shadows: options.shadows,
-            smooth: options.smooth,
+            smooth: false,
+            derived: false,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
+        // The surface is that of heights.
+        plan.smooth = options.smooth && plan.specialization.has(Feature::Heights);
         match gpu.kernel {
             Kernel::Invocation => {
                 plan.words = longest.div_ceil(32);
@@ -816,17 +831,43 @@ impl GpuRenderer {
     fn shadows(&mut self, frame: &mut FrameParams) -> Result<()> {
         if self.tops.is_none() {
             let tops = Tops::new(&self.resident);
-            let words = tops.words();
-            let buffer = self.engine.checked("tops of the scene", || {
-                self.engine.buffer("tops", 4 * words.len() as u64, wgpu::BufferUsages::STORAGE)
-            })?;
-            self.engine.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&words));
-            self.buffers.insert("tops", buffer);
+            self.send("tops", &tops.words())?;
             self.tops = Some(tops);
         }
         if let Some(tops) = &self.tops {
             (frame.top_levels, frame.world_top) = (tops.levels.len() as u32, tops.top as f32);
         }
+        Ok(())
+    }
+
+    /// The same of the surface of a height field.
+    fn surface(&mut self, setup: &Setup, frame: &mut FrameParams) -> Result<()> {
+        let repeats = setup.repeats;
+        if self.surface.as_ref().is_none_or(|(_, known)| *known != repeats)
+            && let Some(tops) = Tops::over_surface(&self.resident, repeats)
+        {
+            self.send("surface_tops", &tops.words())?;
+            let fractions: Vec<u32> = self.resident.fractions.chunks(4).map(|four| {
+                four.iter().zip([0, 8, 16, 24]).map(|(&f, shift)| u32::from(f) << shift).sum()
+            }).collect();
+            self.send("fractions", &fractions)?;
+            self.surface = Some((tops, repeats));
+        }
+        let below = Ground::new(&self.resident, repeats).is_none_or(|ground| smooth::is_below(ground, setup));
+        if let Some((tops, _)) = &self.surface
+            && !below
+        {
+            (frame.surface_levels, frame.surface_top) = (tops.levels.len() as u32, tops.top as f32);
+        }
+        Ok(())
+    }
+
+    /// Makes a buffer of the scene's that only some frames need.
+    fn send(&mut self, name: &'static str, words: &[u32]) -> Result<()> {
+        let size = (4 * words.len() as u64).max(64);
+        let buffer = self.engine.checked(name, || self.engine.buffer(name, size, wgpu::BufferUsages::STORAGE))?;
+        self.engine.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(words));
+        self.buffers.insert(name, buffer);
         Ok(())
     }
 
@@ -1002,6 +1043,21 @@ impl GpuRenderer {
         Ok(())
     }
 
+    /// The surface of a height field, over its blocks.
+    fn smooth(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
+        let on = |b: bool| f64::from(u8::from(b));
+        let mut defines = vec!["HEIGHTS"];
+        defines.extend((!self.resident.fractions.is_empty()).then_some("FRACTIONS"));
+        let repeats = on(!plan.specialization.has(Feature::Bounded));
+        let constants =
+            [("VOXEL", on(plan.image_voxel)), ("PAINT", f64::from(self.tables.paint)), ("REPEATS", repeats)];
+        let pipeline = self.engine.pipeline("smooth", &self.variant(&defines), &constants)?;
+        let grid = [groups(plan.width, 16), groups(plan.height, 16)];
+        // A part of remap: that pass has begun and ended by now, this one ends it later.
+        self.record(recorder, "smooth", 1, |pass| self.dispatch(pass, &pipeline, &[], grid));
+        Ok(())
+    }
+
     fn shade(&mut self, recorder: &mut Recorder, plan: &Plan, order: ByteOrder) -> Result<()> {
         let normals = matches!(plan.shading, Shading::Ssn | Shading::Full);
         let occlusion = matches!(plan.shading, Shading::Ssao | Shading::Full);
@@ -1011,11 +1067,20 @@ impl GpuRenderer {
         let mut constants =
             vec![("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
         let mut defines = Vec::new();
+        if plan.shadows || plan.smooth || plan.derived {
+            defines.push("SCENE");
+            defines.extend(plan.specialization.has(Feature::Heights).then_some("HEIGHTS"));
+            constants.push(("REPEATS", on(!plan.specialization.has(Feature::Bounded))));
+        }
         if plan.shadows {
             defines.push("SHADOWS");
-            defines.extend(plan.specialization.has(Feature::Heights).then_some("HEIGHTS"));
-            let repeats = on(!plan.specialization.has(Feature::Bounded));
-            constants.extend([("SMOOTH", on(plan.smooth)), ("REPEATS", repeats)]);
+            constants.push(("SMOOTH", on(plan.smooth)));
+        }
+        if plan.smooth {
+            defines.push("SMOOTH_NORMALS");
+            defines.extend((!self.resident.fractions.is_empty()).then_some("FRACTIONS"));
+        } else if plan.derived {
+            defines.push("DERIVED_NORMALS");
         }
         let pipeline = self.engine.pipeline("shade", &self.variant(&defines), &constants)?;
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];

@@ -3,7 +3,7 @@
 use crate::camera::Camera;
 use crate::cpu::remap::Row;
 use crate::cpu::shade::ShadeParams;
-use crate::cpu::shadow;
+use crate::cpu::{shadow, smooth};
 use crate::options::Options;
 use crate::plane_setup::{AT_ONCE, DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
 use crate::resident::Resident;
@@ -118,6 +118,10 @@ pub struct FrameParams {
     pub world_top: f32,
     pub sun_world: [f32; 3],
     pub shadow_end: f32,
+    pub surface_levels: u32,
+    pub surface_top: f32,
+    pub smooth_near: f32,
+    pub _pad0: u32,
 }
 
 /// A plane number (or a place on the far edge) as a linear function along a row or a column of pixels, in 32.32 fixed
@@ -360,9 +364,13 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
         axis_forward: shade.axes[2].to_array(),
         sun_world: shade.sun_world.to_array(),
         shadow_end: shadow::end(setup, shade.sun_world),
-        // Where there are shadows, they are known when the frame is sent.
+        smooth_near: smooth::near(camera),
+        // Where there are shadows or a surface, they are known when the frame is sent.
         top_levels: 0,
         world_top: 0.0,
+        surface_levels: 0,
+        surface_top: 0.0,
+        _pad0: 0,
     }
 }
 

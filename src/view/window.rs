@@ -317,6 +317,7 @@ impl App {
         if let Some(screen) = &self.screen {
             screen.window.set_title(&format!("{} - planecast", world.name()));
         }
+        self.options.smooth = self.settings.smooth.unwrap_or(world.smooth);
         self.world = Some(Arc::new(world));
         self.make_drawer()
     }

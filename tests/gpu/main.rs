@@ -353,7 +353,7 @@ fn shade_of_the_same_image_gives_the_same_colours() {
                 let color: Vec<u32> = image.color.iter().map(|&c| u32::from_le_bytes(c)).collect();
                 let mut expected = image.clone();
                 let params = ShadeParams::new(&camera, &options);
-                shade(&params, &color, &image.depth, None, &mut Scratch::default(), &mut expected.color);
+                shade(&params, &color, &image.depth, &Default::default(), &mut Scratch::default(), &mut expected.color);
                 let begin = Begin::Image { color: &color, depth: &image.depth };
                 let drawn = gpu.render_from(begin, &camera, &options, Outputs::default()).unwrap();
                 let off: Vec<u8> = drawn
