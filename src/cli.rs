@@ -20,6 +20,7 @@ use planecast_encoder::{About, Error as FileError, Scene, guard, info, note, say
 use serde_json::json;
 
 use crate::aim::{AimArgs, Typed};
+use crate::annotate::annotate;
 #[cfg(feature = "report")]
 use crate::bench::{
     self,
@@ -119,6 +120,9 @@ pub struct RenderArgs {
     size: [u32; 2],
     #[command(flatten)]
     draw: DrawArgs,
+    /// Draw a scale bar, an arrow to the north and, for heights, colours with their values into the picture
+    #[arg(long)]
+    annotate: bool,
     /// Also write the depth of every pixel (NPY, f4, H x W)
     #[arg(long, value_name = "D.npy")]
     depth: Option<PathBuf>,
@@ -182,6 +186,9 @@ pub struct FlyArgs {
     size: [u32; 2],
     #[command(flatten)]
     draw: DrawArgs,
+    /// Draw a scale bar, an arrow to the north and, for heights, colours with their values into each frame
+    #[arg(long)]
+    annotate: bool,
     /// Also write what the last frame drawn cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
@@ -392,7 +399,8 @@ pub struct DrawArgs {
     /// Walk planes in f64, on the CPU alone
     #[arg(long)]
     f64: bool,
-    /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both
+    /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both; or both with the light that shows a terrain,
+    /// a model, a scan best, of which --sun, --shadows and --normals change what they name
     #[arg(long, value_enum, value_name = "SHADING", default_value = "full")]
     shading: ShadingArg,
     /// Neighbours that occlusion is taken from, 1 to 64
@@ -405,12 +413,12 @@ pub struct DrawArgs {
     /// light]
     #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = sun)]
     sun: Option<[f64; 2]>,
-    /// What stands before the sun throws shadows; of the usual light without --sun
-    #[arg(long, value_enum, value_name = "on|off", default_value = "off")]
-    shadows: Switch,
-    /// What surfaces are lit by: depths of the pixels around, or what is solid around each voxel
-    #[arg(long, value_enum, value_name = "FROM", default_value = "screen")]
-    normals: NormalsArg,
+    /// What stands before the sun throws shadows; of the usual light without --sun [default: off]
+    #[arg(long, value_enum, value_name = "on|off")]
+    shadows: Option<Switch>,
+    /// What surfaces are lit by: depths of the pixels around, or what is solid around each voxel [default: screen]
+    #[arg(long, value_enum, value_name = "FROM")]
+    normals: Option<NormalsArg>,
     /// A height field as a surface where it is near, and lit as one, not as blocks [default: on for height maps that are opened to
     /// be looked at]
     #[arg(long, value_enum, value_name = "on|off")]
@@ -483,6 +491,12 @@ enum ShadingArg {
     Ssn,
     Ssao,
     Full,
+    /// A sun in the north-west, and its shadows
+    Terrain,
+    /// A sun from behind the left shoulder of one who looks north, shadows, derived normals
+    Model,
+    /// Derived normals
+    Scan,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -641,16 +655,20 @@ impl DrawArgs {
                 ShadingArg::None => Shading::None,
                 ShadingArg::Ssn => Shading::Ssn,
                 ShadingArg::Ssao => Shading::Ssao,
-                ShadingArg::Full => Shading::Full,
+                ShadingArg::Full | ShadingArg::Terrain | ShadingArg::Model | ShadingArg::Scan => Shading::Full,
             },
             f64_traversal: self.f64,
             ssao_samples: self.ssao_samples,
             fog: self.fog,
-            sun: self.sun,
-            shadows: self.shadows == Switch::On,
-            normals: match self.normals {
-                NormalsArg::Screen => Normals::Screen,
-                NormalsArg::Derived => Normals::Derived,
+            sun: self.sun.or(match self.shading {
+                ShadingArg::Terrain => Some([315.0, 40.0]),
+                ShadingArg::Model => Some([205.0, 50.0]),
+                _ => None,
+            }),
+            shadows: self.shadows.map_or(matches!(self.shading, ShadingArg::Terrain | ShadingArg::Model), |s| s == Switch::On),
+            normals: match (self.normals, self.shading) {
+                (Some(NormalsArg::Derived), _) | (None, ShadingArg::Model | ShadingArg::Scan) => Normals::Derived,
+                _ => Normals::Screen,
             },
             // Where nothing is said, that is decided when the scene is known.
             smooth: self.smooth == Some(Switch::On),
@@ -771,7 +789,10 @@ impl RenderArgs {
         options.smooth |= self.draw.smooth.is_none() && !measured && surface.stands && resident.heights;
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
-        let frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+        let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+        if self.annotate {
+            annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+        }
 
         let mut files = Vec::new();
         if let Some(path) = named_file(&self.output) {
@@ -877,7 +898,7 @@ impl FlyArgs {
         options.smooth |= self.draw.smooth.is_none() && surface.stands && resident.heights;
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
-        renderer.set_depth(false);
+        renderer.set_depth(self.annotate);
         let film = Film {
             output: &self.output,
             kind,
@@ -888,13 +909,17 @@ impl FlyArgs {
             source: json!({
                 "scene": content,
                 "device": renderer.name(),
-                "options": format!("{options:?}"),
+                "options": format!("{options:?}{}", if self.annotate { ", annotated" } else { "" }),
             }),
             stop: stop_on_ctrl_c(),
         };
         let draw = &mut |cameras: &[Camera], spare: Option<Frame>| {
             renderer.reuse(spare);
-            renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)
+            let mut frame = renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)?;
+            if self.annotate {
+                annotate(&mut frame, &cameras[0], &scene, &resident, &surface.about);
+            }
+            Ok(frame)
         };
         let outcome = fly::fly(&film, draw)?;
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {

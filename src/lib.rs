@@ -89,6 +89,7 @@
 
 #[cfg(not(target_arch = "wasm32"))]
 pub mod aim;
+pub mod annotate;
 #[cfg(feature = "report")]
 pub mod bench;
 pub mod camera;

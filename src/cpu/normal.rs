@@ -127,3 +127,75 @@ fn solid(level: &ResidentLevel, ix: usize, y: i32, reach: i32) -> [i32; 2] {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plane_setup::plane_setup;
+    use crate::{Camera, CpuRenderer, Features, Options, Outputs};
+    use glam::DVec3;
+    use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
+
+    /// Mean angles, in degrees, between the normals of a ball of radius 50 and those derived, and those of the screen.
+    #[test]
+    fn normals_of_a_ball_are_right_to_three_degrees() {
+        let middle = DVec3::new(58.3, 57.9, 58.1);
+        let solid = |x: u32, y: u32, z: u32| (DVec3::new(x.into(), y.into(), z.into()) + 0.5 - middle).length() <= 50.0;
+        let columns = Columns::from_fn(116, 116, 116, solid);
+        let scene = build(Input { columns, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+        let resident = Resident::with(&scene, Features::ALL);
+        let (scene, resident) = (std::sync::Arc::new(scene), std::sync::Arc::new(resident));
+        let (width, height) = (320, 240);
+        let eye = DVec3::new(58.0, 110.0, 190.0);
+        let camera = Camera { eye, yaw: 0.0, pitch: -20.0, roll: 0.0, fov: 50.0, width, height };
+        let options = Options { lod: None, ..Options::default() };
+        let frame = CpuRenderer::new(&scene, &resident).exact(&camera, &options, Outputs { voxel: true }).unwrap();
+        let setup = plane_setup(&resident, &camera, &options);
+        let derived = Occupancy::new(&resident, &setup);
+        let screen = crate::cpu::shade::screen_normals(&camera, &options, &frame.depth);
+        let basis = camera.basis();
+        let (mut n, mut sums) = (0.0, [0.0; 2]);
+        for (i, &depth) in frame.depth.iter().enumerate().filter(|(_, z)| z.is_finite()) {
+            let ray = camera.ray(&basis, f64::from(i as u32 % width) + 0.5, f64::from(i as u32 / width) + 0.5);
+            let [x, y, z, _] = frame.voxel[i].map(f64::from);
+            let truth = (DVec3::new(x, y, z) + 0.5 - middle).normalize();
+            let own = derived.at((ray * f64::from(depth)).as_vec3(), ray.as_vec3(), 1.0).expect("a ball has sides");
+            let of_screen = screen[i];
+            let of_screen =
+                basis.right * f64::from(of_screen.x) + basis.up * f64::from(of_screen.y) + basis.forward * f64::from(of_screen.z);
+            n += 1.0;
+            for (sum, normal) in sums.iter_mut().zip([own.as_dvec3(), of_screen]) {
+                *sum += normal.dot(truth).clamp(-1.0, 1.0).acos().to_degrees();
+            }
+        }
+        let [own, of_screen] = sums.map(|sum| sum / n);
+        println!("of {n} pixels: derived {own:.2} degrees off, of the screen {of_screen:.2}");
+        assert!(n > 10_000.0 && own < 2.5 && own < of_screen, "{own} {of_screen}");
+    }
+
+    #[test]
+    fn columns_are_those_of_the_ball() {
+        let mut n = 0;
+        for [dx, dz, reach] in COLUMNS {
+            let inside = |dy: i32| ((dx * dx + dy * dy + dz * dz) as f32) <= REACH * REACH;
+            assert!(inside(reach) && !inside(reach + 1));
+            n += 2 * reach + 1;
+        }
+        assert_eq!(n, 179);
+    }
+
+    #[test]
+    fn normals_of_flat_things_are_theirs_and_sheets_have_none() {
+        let floor = Columns::from_fn(20, 20, 20, |_, y, z| y < 5 || (y == 12 && z > 10));
+        let scene = build(Input { columns: floor, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+        for features in [Features::ALL, Features::NONE] {
+            let resident = Resident::with(&scene, features);
+            let eye = DVec3::new(10.5, 18.25, 8.5);
+            let setup = plane_setup(&resident, &Camera { eye, ..Camera::default() }, &Options::default());
+            let derived = Occupancy::new(&resident, &setup);
+            let down = |z: f32, depth: f32| derived.at(Vec3::new(0.0, -depth, z), Vec3::new(0.0, -1.0, 0.0), 1.0);
+            assert_eq!(down(-2.0, 13.25), Some(Vec3::Y));
+            assert_eq!(down(6.0, 5.25), None);
+        }
+    }
+}

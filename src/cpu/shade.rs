@@ -596,6 +596,29 @@ impl<'a> Block<'a> {
     }
 }
 
+/// Normals of the screen, of each pixel, in camera axes; of the sky anything.
+#[cfg(test)]
+pub(crate) fn screen_normals(camera: &Camera, options: &Options, depth: &[f32]) -> Vec<Vec3> {
+    let p = ShadeParams::new(camera, options);
+    let mut scratch = Scratch::default();
+    scratch.fill(&p, depth);
+    let lighting = Lighting::default();
+    let mut out = vec![Vec3::ZERO; depth.len()];
+    for y in 0..p.height {
+        for first in (0..p.width).step_by(PHASES * LANES) {
+            for phase in 0..PHASES as i32 {
+                let x = first + phase;
+                let n = Block { p: &p, lighting: &lighting, scratch: &scratch, x, y }.normal();
+                for lane in (0..LANES).filter(|&lane| x + (PHASES * lane) as i32 <= p.width - 1) {
+                    let at = (y * p.width + x) as usize + PHASES * lane;
+                    out[at] = Vec3::new(n[0][lane], n[1][lane], n[2][lane]);
+                }
+            }
+        }
+    }
+    out
+}
+
 /// Radius of the occlusion spiral in pixels.
 pub fn radius_px(camera: &Camera) -> f32 {
     (SSAO_RADIUS * camera.height as f32).max(2.0)

@@ -274,3 +274,132 @@ impl Sunlight<'_> {
 pub fn size_at_1(options: &Options, pixel: f32) -> f32 {
     options.lod.map_or(0.0, |px| px as f32 * pixel)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plane_setup::plane_setup;
+    use crate::{Camera, Features, Repeat};
+    use glam::DVec3;
+    use planecast_encoder::{BuildOptions, Colors, Columns, Input, Scene, build};
+
+    fn scene(dims: [u32; 3], solid: impl Fn(u32, u32, u32) -> bool + Sync) -> Scene {
+        let columns = Columns::from_fn(dims[0], dims[1], dims[2], solid);
+        build(Input { columns, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap()
+    }
+
+    fn noise(x: u32, y: u32, z: u32) -> u32 {
+        let mut v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
+        v = (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D);
+        v ^ (v >> 13)
+    }
+
+    fn sun(azimuth: f64, elevation: f64) -> DVec3 {
+        let ((s, c), (up, level)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
+        DVec3::new(s * level, up, -c * level)
+    }
+
+    fn looking_from(eye: DVec3) -> Camera {
+        Camera { eye, ..Camera::default() }
+    }
+
+    /// Points all over a world that are not solid, how many of them the sun shines on, and of how many the walk says another thing
+    /// than one f64 ray.
+    fn judged(scene: &Scene, features: Features, repeats: bool, wrong: f32) -> [u32; 3] {
+        let resident = Resident::with(scene, features);
+        let tops = Tops::new(&resident);
+        let columns = &scene.levels[0].solid;
+        let options = Options { repeat: Repeat { x: repeats, z: repeats }, lod: None, ..Options::default() };
+        let dims = scene.dims().map(f64::from);
+        let mut counts = [0; 3];
+        for k in 0..20_000 {
+            let random = |n: u32| f64::from(noise(k, n, 77)) / f64::from(u32::MAX);
+            let eye = DVec3::new(random(0) * dims[0], (0.5 + random(1)) * dims[1], random(2) * dims[2]);
+            let away = DVec3::new((random(3) - 0.5) * 2.0 * dims[0], 0.0, (random(4) - 0.5) * 2.0 * dims[2]);
+            let point = (eye + away).with_y(random(5) * 1.1 * dims[1]);
+            let cell = point.floor().as_i64vec3();
+            let wrap = |v: i64, n: f64| if repeats { v.rem_euclid(n as i64) } else { v };
+            if columns.solid(wrap(cell.x, dims[0]), cell.y, wrap(cell.z, dims[2])) {
+                continue;
+            }
+            let sun = sun(random(6) * 360.0, [0.5, 5.0, 30.0, 90.0][k as usize % 4]);
+            let setup = plane_setup(&resident, &looking_from(eye), &options);
+            let from_eye = (point - eye).as_vec3();
+            let walk = Shadows::new(&resident, &tops, &setup, sun.as_vec3());
+            let exact =
+                ExactShadows { columns, repeats: [repeats; 2], eye, sun, view: crate::exact::view_distance(&options) };
+            let expected = exact.lit(from_eye);
+            let lit = walk.lit(from_eye + Vec3::X * wrong, 1.0);
+            counts = [counts[0] + 1, counts[1] + u32::from(expected), counts[2] + u32::from(lit != expected)];
+        }
+        counts
+    }
+
+    fn worlds() -> [Scene; 4] {
+        [
+            scene([64, 40, 64], |x, y, z| y < 4 + noise(x / 3, 0, z / 3) % 9 || (y < 36 && noise(x / 2, 0, z).is_multiple_of(30))),
+            scene([40, 30, 40], |x, y, z| noise(x, y, z).is_multiple_of(40)),
+            scene([40, 60, 40], |x, y, z| noise(x, y / 9, z).is_multiple_of(9)),
+            scene([13, 300, 12], |x, y, z| y.is_multiple_of(4) && noise(x, 0, z).is_multiple_of(3)),
+        ]
+    }
+
+    #[test]
+    fn shadows_lie_where_one_ray_says() {
+        for (i, scene) in worlds().iter().enumerate() {
+            for (features, repeats) in [(Features::ALL, false), (Features::ALL, true), (Features::NONE, false)] {
+                let [n, lit, wrong] = judged(scene, features, repeats, 0.0);
+                println!("world {i}, repeats {repeats}: {lit} of {n} lit, {wrong} wrong");
+                assert!(n > 5000 && lit > n / 50 && lit < n - n / 50, "world {i}: {lit} of {n}");
+                // Corners that a step past a border cuts.
+                assert!(wrong <= n / 500, "world {i}, repeats {repeats}: {wrong} of {n}");
+            }
+        }
+    }
+
+    #[test]
+    fn shadows_of_points_beside_are_others() {
+        for (i, scene) in worlds().iter().enumerate() {
+            let [n, _, wrong] = judged(scene, Features::ALL, false, 0.3);
+            assert!(wrong > n / 200, "world {i}: {wrong} of {n}");
+        }
+    }
+
+    /// A wall of 20 voxels over a floor: at 45° its shadow is as long as it is high.
+    #[test]
+    fn shadows_are_as_long_as_the_sun_is_low() {
+        let scene = scene([200, 30, 64], |x, y, _| y < 2 || (x == 100 && y < 22));
+        let resident = Resident::new(&scene);
+        let tops = Tops::new(&resident);
+        let eye = DVec3::new(30.0, 25.0, 32.0);
+        let setup = plane_setup(&resident, &looking_from(eye), &Options::default());
+        // Sun in the east: shadows fall to the west, lower x.
+        for (elevation, length) in [(45.0, 20.0), (30.0, 20.0 * 3f64.sqrt()), (80.0, 20.0 / 80f64.to_radians().tan())] {
+            let walk = Shadows::new(&resident, &tops, &setup, sun(90.0, elevation).as_vec3());
+            for (x, lit) in [(100.0 - length - 0.1, true), (100.0 - length + 0.1, false), (101.1, true), (150.0, true)] {
+                let point = DVec3::new(x, 2.0, 32.4);
+                assert_eq!(walk.lit((point - eye).as_vec3(), 1.0), lit, "{elevation}: {x}");
+            }
+        }
+        let night = Shadows::new(&resident, &tops, &setup, sun(90.0, -1.0).as_vec3());
+        assert!(!night.lit(Vec3::ZERO, 1.0));
+    }
+
+    #[test]
+    fn tops_are_those_of_every_level() {
+        let scene = scene([37, 50, 21], |x, y, z| y < 1 + noise(x, 0, z) % 49);
+        let resident = Resident::new(&scene);
+        let tops = Tops::new(&resident);
+        for (l, level) in resident.levels.iter().enumerate() {
+            for k in l..tops.levels.len() {
+                for (ix, (x, z)) in (0..level.nz).flat_map(|z| (0..level.nx).map(move |x| (x, z))).enumerate() {
+                    let top = level.column(ix).next().map_or(0, |run| run.end() << l);
+                    let (row, of) = &tops.levels[k];
+                    let shift = BLOCK_SHIFT as usize + k - l;
+                    assert!(of[((z >> shift) * row + (x >> shift)) as usize] >= top);
+                }
+            }
+        }
+        assert_eq!(tops.top, 64.max(scene.dims()[1]));
+    }
+}

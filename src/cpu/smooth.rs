@@ -405,3 +405,117 @@ fn first_root(c: f32, b: f32, a: f32, most: f32) -> Option<f32> {
     let least = roots.into_iter().filter(|s| *s >= 0.0).fold(f32::INFINITY, f32::min);
     (least <= most).then_some(least)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CpuRenderer, Options, Outputs, Shading};
+    use glam::DVec3;
+    use planecast_encoder::{BuildOptions, Colors, ColumnsBuilder, Input, Run, Scene, build};
+    use std::sync::Arc;
+
+    /// A height field with fractions; columns of a height below 0 are empty.
+    fn field([nx, nz]: [u32; 2], height: impl Fn(f64, f64) -> f64) -> (Arc<Scene>, Arc<Resident>) {
+        let (mut columns, mut fractions) = (ColumnsBuilder::new(nx, 120, nz), Vec::new());
+        for i in 0..nx * nz {
+            let h = height(f64::from(i % nx) + 0.5, f64::from(i / nx) + 0.5);
+            if h >= 0.5 {
+                columns.push_run(Run::new(0, h.round() as u16 - 1));
+            }
+            columns.end_column();
+            fractions.push(((h - h.round()) * 256.0 + 128.0).clamp(0.0, 255.0) as u8);
+        }
+        let colors = Colors::Function(Box::new(|x, y, z| [(x * 9) as u8, (y * 5) as u8, (z * 7) as u8]));
+        let input = Input { columns: columns.finish(), colors, notes: Vec::new() };
+        let scene = build(input, &BuildOptions::default()).unwrap();
+        let resident = Resident::new(&scene).with_fractions(&fractions);
+        (Arc::new(scene), Arc::new(resident))
+    }
+
+    fn hills(x: f64, z: f64) -> f64 {
+        40.0 + 12.0 * (x / 9.0).sin() * (z / 7.0).cos() + 3.0 * (x * 0.9 + z * 0.4).sin()
+    }
+
+    fn camera(eye: [f64; 3], yaw: f64, pitch: f64) -> Camera {
+        Camera { eye: DVec3::from(eye), yaw, pitch, roll: 4.0, fov: 60.0, width: 160, height: 120 }
+    }
+
+    /// On a slope of a quarter, depth is that of the plane, and normals are its own; blocks are not.
+    #[test]
+    fn slopes_are_planes() {
+        let (scene, resident) = field([128, 128], |x, _| 10.0 + 0.25 * x);
+        let mut renderer = CpuRenderer::new(&scene, &resident);
+        let at = camera([50.0, 40.0, 64.0], 100.0, -30.0);
+        let options = Options { shading: Shading::None, smooth: true, ..Options::default() };
+        let frame = renderer.render(&at, &options, Outputs { voxel: true }).unwrap();
+        let blocks = renderer.render(&at, &Options { smooth: false, ..options }, Outputs { voxel: true }).unwrap();
+        let basis = at.basis();
+        let (mut n, mut worst, mut worst_blocks) = (0, 0.0f64, 0.0f64);
+        for i in 0..frame.depth.len() {
+            let ray = at.ray(&basis, (i % 160) as f64 + 0.5, (i / 160) as f64 + 0.5);
+            // y = 10 + x / 4, fractions to 1 / 256.
+            let depth = (10.0 + 0.25 * at.eye.x - at.eye.y) / (ray.y - 0.25 * ray.x);
+            let [x, y, z, _] = frame.voxel[i];
+            if depth > 0.0 && (1..127).contains(&x) && (1..127).contains(&z) {
+                n += 1;
+                let off = |shown: f32| (f64::from(shown) - depth).abs() * (ray.y - 0.25 * ray.x).abs();
+                (worst, worst_blocks) = (worst.max(off(frame.depth[i])), worst_blocks.max(off(blocks.depth[i])));
+                assert!((f64::from(y) - (10.0 + 0.25 * f64::from(x))).abs() < 2.0);
+            }
+        }
+        assert!(n > 10_000 && worst < 0.006 && worst_blocks > 0.4, "{n} pixels, {worst}, blocks {worst_blocks}");
+        let ground = Ground::new(&resident, [false; 2]).unwrap();
+        let normal = ground.normal([60, 60], [0.3, 0.9], 1.0).0;
+        assert!((normal - Vec3::new(-0.25, 1.0, 0.0).normalize()).length() < 0.005, "{normal}");
+    }
+
+    /// Against one f64 ray through the same surface, holes, walls and world's end included.
+    #[test]
+    fn surfaces_are_those_of_exact() {
+        let holes = |x: f64, z: f64| if (x * 0.21).sin() * (z * 0.17).sin() > 0.8 { -1.0 } else { hills(x, z) };
+        let mut all = [0usize; 3];
+        for (scene, resident) in [field([96, 80], hills), field([96, 80], holes)] {
+            let mut renderer = CpuRenderer::new(&scene, &resident);
+            for (eye, yaw, pitch) in [
+                ([48.0, 70.0, 40.0], 30.0, -40.0),
+                ([20.0, 62.0, 60.0], 140.0, -12.0),
+                ([-30.0, 60.0, 40.0], 90.0, -15.0),
+                ([48.0, 90.0, 40.0], 0.0, -90.0),
+                ([48.0, 58.5, 41.0], 260.0, 5.0),
+            ] {
+                for repeat in [false, true] {
+                    let repeat = crate::Repeat { x: repeat, z: repeat };
+                    let options =
+                        Options { shading: Shading::None, smooth: true, repeat, view_distance: 150.0, ..Options::default() };
+                    let camera = camera(eye, yaw, pitch);
+                    let drawn = renderer.render(&camera, &options, Outputs { voxel: true }).unwrap();
+                    let exact = renderer.exact(&camera, &options, Outputs { voxel: true }).unwrap();
+                    for i in 0..drawn.depth.len() {
+                        let [a, b] = [drawn.depth[i], exact.depth[i]];
+                        let same = if a.is_infinite() || b.is_infinite() { a == b } else { (a - b).abs() < 2e-3 };
+                        // Pixels on edges, where rounding decides.
+                        all = [all[0] + 1, all[1] + usize::from(!same), all[2] + usize::from(drawn.color[i] != exact.color[i])];
+                    }
+                }
+            }
+        }
+        println!("{all:?}");
+        assert!(all[1] <= all[0] / 1000 && all[2] <= all[0] / 200, "{all:?}");
+    }
+
+    #[test]
+    fn eyes_below_the_surface_see_blocks() {
+        let (scene, resident) = field([64, 64], |x, _| 5.0 + 3.0 * x);
+        let mut renderer = CpuRenderer::new(&scene, &resident);
+        // Over its column's top, below the surface that rises to the next.
+        let at = camera([20.9, 67.2, 30.0], 270.0, 0.0);
+        let options = Options { shading: Shading::None, ..Options::default() };
+        let blocks = renderer.render(&at, &options, Outputs::default()).unwrap();
+        let smooth = renderer.render(&at, &Options { smooth: true, ..options }, Outputs::default()).unwrap();
+        assert!(blocks.color == smooth.color && blocks.depth == smooth.depth);
+        let above = camera([20.9, 69.5, 30.0], 270.0, 0.0);
+        let [blocks, smooth] = [false, true]
+            .map(|smooth| renderer.render(&above, &Options { smooth, ..options }, Outputs::default()).unwrap());
+        assert_ne!(blocks.depth, smooth.depth);
+    }
+}
