@@ -85,11 +85,12 @@ fn ground_normal(from_eye: vec3<f32>, size: f32) -> vec3<f32> {
         return vec3(0.0);
     }
     let rest = at - floor_;
-    let per = 0.5 / size;
+    // Whole columns: the same place in each patch.
+    let away = i32(min(size + 0.5, 65536.0));
     let slope = vec2(
-        ground_at(cell, rest + vec2(size, 0.0)) - ground_at(cell, rest - vec2(size, 0.0)),
-        ground_at(cell, rest + vec2(0.0, size)) - ground_at(cell, rest - vec2(0.0, size)),
-    ) * per;
+        ground_at(cell + vec2(away, 0), rest) - ground_at(cell - vec2(away, 0), rest),
+        ground_at(cell + vec2(0, away), rest) - ground_at(cell - vec2(0, away), rest),
+    ) * (0.5 / f32(away));
     let steep = length(slope);
     let y = from_eye.y + (f32(frame.eye_cell.y) + frame.eye_fract.y);
     if (y <= ground_at(cell, rest) - (1.5 + steep) * size) {

@@ -102,14 +102,33 @@ impl<'a> Ground<'a> {
     }
 
     /// The surface's normal where a point stands, given by column and what is left over, and its height; slopes are those over
-    /// `apart` columns to either side.
+    /// about `apart` columns to either side.
     #[inline(always)]
     pub fn normal(&self, cell: [i32; 2], rest: [f32; 2], apart: f32) -> (Vec3, f32) {
-        let at = |dx: f32, dz: f32| self.at(cell, [rest[0] + dx, rest[1] + dz]);
-        let per = 0.5 / apart;
-        let slope = [(at(apart, 0.0) - at(-apart, 0.0)) * per, (at(0.0, apart) - at(0.0, -apart)) * per];
+        let at = rest.map(|r| r - 0.5);
+        let floor = at.map(f32::floor);
+        let corner = [0, 1].map(|k| cell[k].wrapping_add(floor[k] as i32));
+        let [u, v] = [0, 1].map(|k| at[k] - floor[k]);
+        // Whole columns: the same place in each patch.
+        let away = (apart + 0.5).min(65_536.0) as i32;
+        let (first, last) = (corner.map(|c| c.wrapping_sub(away)), corner.map(|c| c.wrapping_add(away + 1)));
+        let inside = (0..2).all(|k| first[k] >= 0 && last[k] < self.dims[k]);
+        let height = |dx: i32, dz: i32| {
+            let [x, z] = [corner[0].wrapping_add(dx), corner[1].wrapping_add(dz)];
+            let columns = match inside {
+                true => {
+                    let (ix, row) = ((z * self.dims[0] + x) as usize, self.dims[0] as usize);
+                    [ix, ix + 1, ix + row, ix + row + 1]
+                }
+                false => self.columns([x, z]),
+            };
+            let [a, b, c, d] = self.patch(columns);
+            a + b * u + c * v + d * u * v
+        };
+        let per = 0.5 / away as f32;
+        let slope = [(height(away, 0) - height(-away, 0)) * per, (height(0, away) - height(0, -away)) * per];
         let scale = 1.0 / (1.0 + slope[0] * slope[0] + slope[1] * slope[1]).sqrt();
-        (Vec3::new(-slope[0] * scale, scale, -slope[1] * scale), self.at(cell, rest))
+        (Vec3::new(-slope[0] * scale, scale, -slope[1] * scale), height(0, 0))
     }
 
     /// Colours of four columns' tops, mixed; those without voxels have no part.

@@ -576,9 +576,6 @@ impl GpuRenderer {
                 self.write("image_depth", bytemuck::cast_slice(depth));
             }
         }
-        if plan.smooth && !matches!(begin, Begin::Image { .. }) {
-            self.smooth(&mut recorder, &plan)?;
-        }
         self.shade(&mut recorder, &plan, order)?;
         let Recorder { pass, mut encoder } = recorder;
         drop(pass);
@@ -1002,8 +999,9 @@ impl GpuRenderer {
     fn remap(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
+        let surface = self.smooth(plan)?;
         if plan.kernel == Kernel::Raycast {
-            self.record(recorder, "remap", 1, |_| ());
+            self.record(recorder, "remap", 1, |pass| surface.iter().for_each(|s| self.dispatch(pass, s, &[], grid)));
             return Ok(());
         }
         if !plan.gathers() {
@@ -1023,9 +1021,7 @@ impl GpuRenderer {
             };
             self.record(recorder, "remap", 1, |pass| {
                 self.dispatch(pass, &pipeline, &[], grid);
-                if let Some(refine) = refine {
-                    self.dispatch(pass, &refine, &[], grid);
-                }
+                refine.iter().chain(&surface).for_each(|stage| self.dispatch(pass, stage, &[], grid));
             });
             return Ok(());
         }
@@ -1039,23 +1035,23 @@ impl GpuRenderer {
             }
             let chosen = if plan.gap_fill { "filled" } else { "index" };
             self.dispatch(pass, &gather, &[("index", chosen)], grid);
+            surface.iter().for_each(|stage| self.dispatch(pass, stage, &[], grid));
         });
         Ok(())
     }
 
-    /// The surface of a height field, over its blocks.
-    fn smooth(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
+    /// What draws the surface of a height field over its blocks, where that is asked for.
+    fn smooth(&mut self, plan: &Plan) -> Result<Option<Arc<Pipeline>>> {
+        if !plan.smooth {
+            return Ok(None);
+        }
         let on = |b: bool| f64::from(u8::from(b));
         let mut defines = vec!["HEIGHTS"];
         defines.extend((!self.resident.fractions.is_empty()).then_some("FRACTIONS"));
         let repeats = on(!plan.specialization.has(Feature::Bounded));
         let constants =
             [("VOXEL", on(plan.image_voxel)), ("PAINT", f64::from(self.tables.paint)), ("REPEATS", repeats)];
-        let pipeline = self.engine.pipeline("smooth", &self.variant(&defines), &constants)?;
-        let grid = [groups(plan.width, 16), groups(plan.height, 16)];
-        // A part of remap: that pass has begun and ended by now, this one ends it later.
-        self.record(recorder, "smooth", 1, |pass| self.dispatch(pass, &pipeline, &[], grid));
-        Ok(())
+        self.engine.pipeline("smooth", &self.variant(&defines), &constants).map(Some)
     }
 
     fn shade(&mut self, recorder: &mut Recorder, plan: &Plan, order: ByteOrder) -> Result<()> {
