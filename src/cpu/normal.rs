@@ -3,8 +3,8 @@
 //! one normal from whichever pixel it is seen. Of a ball of radius 50 they are 2.0° off on average, those of the screen more (a
 //! test says how much). Twin: `shaders/shared/normal.wgsl`.
 
-use crate::plane_setup::Setup;
-use crate::resident::{EMPTY, Resident, ResidentLevel, Table};
+use crate::frame::plane_setup::Setup;
+use crate::world::tables::{EMPTY, Resident, ResidentLevel, Table};
 use glam::Vec3;
 use planecast_encoder::Run;
 
@@ -131,7 +131,7 @@ fn solid(level: &ResidentLevel, ix: usize, y: i32, reach: i32) -> [i32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plane_setup::plane_setup;
+    use crate::frame::plane_setup::plane_setup;
     use crate::{Camera, CpuRenderer, Features, Options, Outputs};
     use glam::DVec3;
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
@@ -142,7 +142,8 @@ mod tests {
         let middle = DVec3::new(58.3, 57.9, 58.1);
         let solid = |x: u32, y: u32, z: u32| (DVec3::new(x.into(), y.into(), z.into()) + 0.5 - middle).length() <= 50.0;
         let columns = Columns::from_fn(116, 116, 116, solid);
-        let scene = build(Input { columns, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+        let scene =
+            build(Input { columns, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap();
         let resident = Resident::with(&scene, Features::ALL);
         let (scene, resident) = (std::sync::Arc::new(scene), std::sync::Arc::new(resident));
         let (width, height) = (320, 240);
@@ -161,8 +162,9 @@ mod tests {
             let truth = (DVec3::new(x, y, z) + 0.5 - middle).normalize();
             let own = derived.at((ray * f64::from(depth)).as_vec3(), ray.as_vec3(), 1.0).expect("a ball has sides");
             let of_screen = screen[i];
-            let of_screen =
-                basis.right * f64::from(of_screen.x) + basis.up * f64::from(of_screen.y) + basis.forward * f64::from(of_screen.z);
+            let of_screen = basis.right * f64::from(of_screen.x)
+                + basis.up * f64::from(of_screen.y)
+                + basis.forward * f64::from(of_screen.z);
             n += 1.0;
             for (sum, normal) in sums.iter_mut().zip([own.as_dvec3(), of_screen]) {
                 *sum += normal.dot(truth).clamp(-1.0, 1.0).acos().to_degrees();
@@ -187,7 +189,8 @@ mod tests {
     #[test]
     fn normals_of_flat_things_are_theirs_and_sheets_have_none() {
         let floor = Columns::from_fn(20, 20, 20, |_, y, z| y < 5 || (y == 12 && z > 10));
-        let scene = build(Input { columns: floor, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+        let scene =
+            build(Input { columns: floor, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap();
         for features in [Features::ALL, Features::NONE] {
             let resident = Resident::with(&scene, features);
             let eye = DVec3::new(10.5, 18.25, 8.5);

@@ -6,12 +6,12 @@
 //! pattern; each counts by how far it stands above the pixel's tangent plane (McGuire et al. 2011; the paper cites
 //! Mittring 2007, which needs no normals). Everything is f32 and a function of the pixel's neighbourhood alone.
 
-use crate::camera::Camera;
-use crate::cpu::shadow::{Sunlight, bias, size_at_1};
 use crate::cpu::normal::Occupancy;
+use crate::cpu::shadow::{Sunlight, bias, size_at_1};
 use crate::cpu::smooth::Normals;
 use crate::cpu::traverse::has_avx2;
-use crate::options::{Options, Shading};
+use crate::frame::camera::Camera;
+use crate::frame::options::{Options, Shading};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -96,7 +96,7 @@ impl ShadeParams {
             ambient: if options.sun.is_some() { AMBIENT_SUN } else { AMBIENT },
             sky: options.sky,
             fog: options.fog.map_or(0.0, |f| (1.0 / f) as f32),
-            per_view: (1.0 / crate::exact::view_distance(options).min(1e9)) as f32,
+            per_view: (1.0 / crate::cpu::exact::view_distance(options).min(1e9)) as f32,
             axes: [basis.right, basis.up, basis.forward].map(|v| v.as_vec3()),
             sun_world: sun.as_vec3(),
             size: size_at_1(options, (1.0 / camera.focal()) as f32),

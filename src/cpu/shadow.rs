@@ -5,9 +5,9 @@
 //! height where it enters a square is what counts. A walk ends above the world's top, at its edge, or at the view distance.
 //! Twin: `shaders/shared/shadow.wgsl`.
 
-use crate::options::Options;
-use crate::plane_setup::Setup;
-use crate::resident::{BLOCK_SHIFT, EMPTY, Resident, ResidentLevel, Table};
+use crate::frame::options::Options;
+use crate::frame::plane_setup::Setup;
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, Resident, ResidentLevel, Table};
 use glam::Vec3;
 use planecast_encoder::Run;
 
@@ -250,7 +250,9 @@ impl ExactShadows<'_> {
     pub fn lit(&self, from_eye: Vec3) -> bool {
         let across = self.sun.x.hypot(self.sun.z);
         let end = if across > 0.0 { self.view / across } else { f64::INFINITY };
-        self.sun.y > 0.0 && crate::exact::cast(self.columns, self.repeats, self.eye + from_eye.as_dvec3(), self.sun, end).is_none()
+        self.sun.y > 0.0
+            && crate::cpu::exact::cast(self.columns, self.repeats, self.eye + from_eye.as_dvec3(), self.sun, end)
+                .is_none()
     }
 }
 
@@ -278,7 +280,7 @@ pub fn size_at_1(options: &Options, pixel: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plane_setup::plane_setup;
+    use crate::frame::plane_setup::plane_setup;
     use crate::{Camera, Features, Repeat};
     use glam::DVec3;
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, Scene, build};
@@ -326,8 +328,13 @@ mod tests {
             let setup = plane_setup(&resident, &looking_from(eye), &options);
             let from_eye = (point - eye).as_vec3();
             let walk = Shadows::new(&resident, &tops, &setup, sun.as_vec3());
-            let exact =
-                ExactShadows { columns, repeats: [repeats; 2], eye, sun, view: crate::exact::view_distance(&options) };
+            let exact = ExactShadows {
+                columns,
+                repeats: [repeats; 2],
+                eye,
+                sun,
+                view: crate::cpu::exact::view_distance(&options),
+            };
             let expected = exact.lit(from_eye);
             let lit = walk.lit(from_eye + Vec3::X * wrong, 1.0);
             counts = [counts[0] + 1, counts[1] + u32::from(expected), counts[2] + u32::from(lit != expected)];
@@ -337,7 +344,9 @@ mod tests {
 
     fn worlds() -> [Scene; 4] {
         [
-            scene([64, 40, 64], |x, y, z| y < 4 + noise(x / 3, 0, z / 3) % 9 || (y < 36 && noise(x / 2, 0, z).is_multiple_of(30))),
+            scene([64, 40, 64], |x, y, z| {
+                y < 4 + noise(x / 3, 0, z / 3) % 9 || (y < 36 && noise(x / 2, 0, z).is_multiple_of(30))
+            }),
             scene([40, 30, 40], |x, y, z| noise(x, y, z).is_multiple_of(40)),
             scene([40, 60, 40], |x, y, z| noise(x, y / 9, z).is_multiple_of(9)),
             scene([13, 300, 12], |x, y, z| y.is_multiple_of(4) && noise(x, 0, z).is_multiple_of(3)),
@@ -376,7 +385,8 @@ mod tests {
         // Sun in the east: shadows fall to the west, lower x.
         for (elevation, length) in [(45.0, 20.0), (30.0, 20.0 * 3f64.sqrt()), (80.0, 20.0 / 80f64.to_radians().tan())] {
             let walk = Shadows::new(&resident, &tops, &setup, sun(90.0, elevation).as_vec3());
-            for (x, lit) in [(100.0 - length - 0.1, true), (100.0 - length + 0.1, false), (101.1, true), (150.0, true)] {
+            for (x, lit) in [(100.0 - length - 0.1, true), (100.0 - length + 0.1, false), (101.1, true), (150.0, true)]
+            {
                 let point = DVec3::new(x, 2.0, 32.4);
                 assert_eq!(walk.lit((point - eye).as_vec3(), 1.0), lit, "{elevation}: {x}");
             }

@@ -6,11 +6,11 @@
 //! a quadratic; squares of columns that the ray passes above are stepped over ([`Tops::over_surface`]). Colours are bilinear too.
 //! Twin: `shaders/smooth.wgsl`.
 
-use crate::camera::Camera;
 use crate::cpu::remap::{Pixels, ray_inverse};
 use crate::cpu::shadow::{PAST, Tops};
-use crate::plane_setup::Setup;
-use crate::resident::{Resident, ResidentLevel, Table};
+use crate::frame::camera::Camera;
+use crate::frame::plane_setup::Setup;
+use crate::world::tables::{Resident, ResidentLevel, Table};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -504,8 +504,13 @@ mod tests {
             ] {
                 for repeat in [false, true] {
                     let repeat = crate::Repeat { x: repeat, z: repeat };
-                    let options =
-                        Options { shading: Shading::None, smooth: true, repeat, view_distance: 150.0, ..Options::default() };
+                    let options = Options {
+                        shading: Shading::None,
+                        smooth: true,
+                        repeat,
+                        view_distance: 150.0,
+                        ..Options::default()
+                    };
                     let camera = camera(eye, yaw, pitch);
                     let drawn = renderer.render(&camera, &options, Outputs { voxel: true }).unwrap();
                     let exact = renderer.exact(&camera, &options, Outputs { voxel: true }).unwrap();
@@ -513,7 +518,11 @@ mod tests {
                         let [a, b] = [drawn.depth[i], exact.depth[i]];
                         let same = if a.is_infinite() || b.is_infinite() { a == b } else { (a - b).abs() < 2e-3 };
                         // Pixels on edges, where rounding decides.
-                        all = [all[0] + 1, all[1] + usize::from(!same), all[2] + usize::from(drawn.color[i] != exact.color[i])];
+                        all = [
+                            all[0] + 1,
+                            all[1] + usize::from(!same),
+                            all[2] + usize::from(drawn.color[i] != exact.color[i]),
+                        ];
                     }
                 }
             }

@@ -7,7 +7,7 @@
 use crate::cpu::remap::HOLE;
 use crate::cpu::{normal, refine, shade, shadow, smooth};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
-use crate::resident::{BLOCK_SHIFT, EMPTY, UNPAINTED};
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
 use wgpu::naga;
 
@@ -236,7 +236,9 @@ mod tests {
         for variant in variants() {
             for stage in STAGES {
                 // The surface is that of heights.
-                if !variant.defines.contains(&"HEIGHTS") && (stage == "smooth" || variant.defines.contains(&"SMOOTH_NORMALS")) {
+                if !variant.defines.contains(&"HEIGHTS")
+                    && (stage == "smooth" || variant.defines.contains(&"SMOOTH_NORMALS"))
+                {
                     continue;
                 }
                 let source = assemble(stage, &variant);
