@@ -55,6 +55,7 @@
 //! | `traverse` | planes, columns → plane buffer | plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
 //! | `remap` | plane buffer → pixels, doubts | pixel | [`cpu::remap`] | `remap.wgsl` |
 //! | `refine` | doubts, columns → pixels | pixel | [`cpu::refine`] | `refine.wgsl` |
+//! | `smooth` | height field → pixels, where asked for | pixel | [`cpu::smooth`] | `smooth.wgsl` |
 //! | `gap_fill` | pixels → pixels without holes | pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
 //! | `shade` | colour, depth → picture | pixel | [`cpu::shade`] | `shade.wgsl` |
 //!

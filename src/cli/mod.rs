@@ -755,9 +755,21 @@ fn named_file(path: &PathBuf) -> Option<&PathBuf> {
     Some(path).filter(|path| **path != FilePath::new(output::STDOUT))
 }
 
-/// A scene and its tables, as renderers share them.
-fn shared(scene: Scene, features: Features, surface: &Surface) -> (Arc<Scene>, Arc<Resident>) {
+/// A scene and its tables, as renderers share them. Options that it has nothing for are taken back, with a word.
+fn shared(scene: Scene, features: Features, surface: &Surface, options: &mut Options) -> (Arc<Scene>, Arc<Resident>) {
+    // A surface is drawn from heights alone.
+    let features = if options.smooth { features.with(crate::Feature::Heights) } else { features };
     let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+    if options.smooth && !resident.heights {
+        options.smooth = false;
+        if !surface.stands {
+            tell("--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn");
+        }
+    }
+    if options.normals == Normals::Derived && scene.encoding != planecast_encoder::Encoding::Solid {
+        options.normals = Normals::Screen;
+        tell("derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn");
+    }
     (Arc::new(scene), Arc::new(resident))
 }
 
@@ -792,10 +804,10 @@ impl RenderArgs {
         let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
         let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
-        let (scene, resident) = shared(scene, self.draw.specialize, &surface);
         // Who asks for depths or voxels measures what is there.
         let measured = self.depth.is_some() || self.voxel.is_some();
-        options.smooth |= self.draw.smooth.is_none() && !measured && surface.stands && resident.heights;
+        options.smooth |= self.draw.smooth.is_none() && !measured && surface.stands;
+        let (scene, resident) = shared(scene, self.draw.specialize, &surface, &mut options);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
@@ -903,8 +915,8 @@ impl FlyArgs {
             })?;
         }
 
-        let (scene, resident) = shared(scene, self.draw.specialize, &surface);
-        options.smooth |= self.draw.smooth.is_none() && surface.stands && resident.heights;
+        options.smooth |= self.draw.smooth.is_none() && surface.stands;
+        let (scene, resident) = shared(scene, self.draw.specialize, &surface, &mut options);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
         renderer.set_depth(self.annotate);

@@ -98,8 +98,8 @@ fn solid(level: &ResidentLevel, ix: usize, y: i32, reach: i32) -> [i32; 2] {
     let (low, high) = (y.wrapping_sub(reach), y.wrapping_add(reach + 1));
     let of = |first: i32, end: i32| {
         let (first, end) = (first.max(low), end.min(high));
-        let n = (end - first).max(0);
-        [n, n * (first + end - 1 - 2 * y)]
+        // Of y far from all nothing is worked out.
+        if end <= first { [0; 2] } else { [end - first, (end - first) * (first + end - 1 - 2 * y)] }
     };
     match &level.table {
         Table::Heights(heights) => of(0, i32::from(heights[ix])),

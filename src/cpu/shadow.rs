@@ -149,8 +149,9 @@ impl<'a> Shadows<'a> {
                 t = t.max(enter + PAST[0] + enter * PAST[1]);
             }
         }
-        let (most, table) = (self.tops.levels.len() as u32 - 1, &self.resident.levels[level as usize]);
+        let most = self.tops.levels.len() as u32 - 1;
         let level = level.min(most);
+        let table = &self.resident.levels[level as usize];
         let mut k = level;
         for _ in 0..STEPS {
             if t >= end {
@@ -167,7 +168,7 @@ impl<'a> Shadows<'a> {
                     false => return true,
                 };
                 // What brings a place of the first period to where the walk counts from.
-                base[axis] = off - here[axis];
+                base[axis] = off.wrapping_sub(here[axis]);
             }
             let shift = BLOCK_SHIFT + k;
             let (row, tops) = &self.tops.levels[k as usize];
@@ -178,7 +179,7 @@ impl<'a> Shadows<'a> {
                 for axis in 0..2 {
                     let first = (here[axis] >> shift) << shift;
                     let past = first.saturating_add(1 << shift).min(dims[axis]);
-                    let line = base[axis] + if dir[axis] > 0.0 { past } else { first };
+                    let line = base[axis].wrapping_add(if dir[axis] > 0.0 { past } else { first });
                     let at = (line as f32 - start[axis]) * self.inverse[axis];
                     out = if at < out { at } else { out };
                 }

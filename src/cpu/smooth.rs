@@ -349,7 +349,7 @@ impl<'a> Walk<'a> {
             let column = [0, 1].map(|axis| self.eye[axis].wrapping_add(off[axis]));
             let Some(ix) = self.ground.index(column) else { return Met::Nothing };
             let here = [ix as i32 % dims[0], ix as i32 / dims[0]];
-            let base = [0, 1].map(|axis| off[axis] - here[axis]);
+            let base = [0, 1].map(|axis| off[axis].wrapping_sub(here[axis]));
             let shift = SQUARE_SHIFT + k;
             let (row, tops) = &self.tops.levels[k as usize];
             let top = tops[((here[1] >> shift) as u32 * row + (here[0] >> shift) as u32) as usize] as f32;
@@ -357,7 +357,7 @@ impl<'a> Walk<'a> {
             let leave = [0, 1].map(|axis| {
                 let first = (here[axis] >> shift) << shift;
                 let past = (first + (1 << shift)).min(dims[axis]);
-                cross(axis, (base[axis] + if dir[axis] > 0.0 { past } else { first }) as f32)
+                cross(axis, base[axis].wrapping_add(if dir[axis] > 0.0 { past } else { first }) as f32)
             });
             let leave = forward(t, leave[0].min(leave[1]));
             if self.height + (dy * t).min(dy * leave) >= top {
