@@ -44,13 +44,14 @@ fn first_root(c: f32, b: f32, a: f32, most: f32) -> f32 {
 
 // Colours of four columns' tops, mixed; those without voxels have no part.
 fn ground_color(columns_: vec4<u32>, u: vec2<f32>) -> u32 {
-    let shares = vec4((1.0 - u.x) * (1.0 - u.y), u.x * (1.0 - u.y), (1.0 - u.x) * u.y, u.x * u.y);
+    var corners = columns_;
+    var shares = vec4((1.0 - u.x) * (1.0 - u.y), u.x * (1.0 - u.y), (1.0 - u.x) * u.y, u.x * u.y);
     var sum = vec3(0.0);
     var all_ = 0.0;
     for (var i = 0u; i < 4u; i++) {
-        let n = voxels(0u, columns_[i]);
+        let n = voxels(0u, corners[i]);
         if (n > 0u) {
-            let color = paint_color(0u, columns_[i], 0u, n - 1u);
+            let color = paint_color(0u, corners[i], 0u, n - 1u);
             sum += shares[i] * vec3<f32>(vec3(color, color >> 8u, color >> 16u) & vec3(255u));
             all_ += shares[i];
         }
@@ -113,8 +114,8 @@ fn meet(ray: vec3<f32>, most_depth: f32) -> u32 {
         let top = f32(surface_tops[surface_tops[2u * k] + square.y * surface_tops[2u * k + 1u] + square.x]);
         let first = (here >> vec2(shift)) << vec2(shift);
         let past = min(first + vec2(1i << shift), dims);
-        let out = (vec2<f32>(base + select(first, past, dir > vec2(0.0))) - fract_) * inverse;
-        let leave = forward(t, min(out.x, out.y));
+        let border = (vec2<f32>(base + select(first, past, dir > vec2(0.0))) - fract_) * inverse;
+        let leave = forward(t, min(border.x, border.y));
         if (height_ + min(ray.y * t, ray.y * leave) >= top) {
             t = leave;
             k = min(k + 1u, most);

@@ -4,8 +4,10 @@
 fn solid_of(first: i32, end: i32, y: i32, low: i32, high: i32) -> vec2<i32> {
     let a = max(first, low);
     let b = min(end, high);
-    let n = max(b - a, 0);
-    return vec2(n, n * (a + b - 1 - 2 * y));
+    if (b <= a) {
+        return vec2(0);
+    }
+    return vec2(b - a, (b - a) * (a + b - 1 - 2 * y));
 }
 
 fn solid_around(l: u32, ix: u32, y: i32, reach: i32) -> vec2<i32> {
@@ -62,8 +64,8 @@ fn occupancy_normal(from_eye: vec3<f32>, ray: vec3<f32>, size: f32) -> vec3<f32>
                 continue;
             }
             let ix = column_index(l, wrap(here.x, levels[l].size.x), wrap(here.y, levels[l].size.y));
-            let of = solid_around(l, ix, cell.y, reach);
-            sum += vec3(2 * dx * of.x, of.y, 2 * dz * of.x);
+            let solid = solid_around(l, ix, cell.y, reach);
+            sum += vec3(2 * dx * solid.x, solid.y, 2 * dz * solid.x);
         }
     }
     if (all(sum == vec3(0))) {
