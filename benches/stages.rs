@@ -90,7 +90,7 @@ fn stages(c: &mut Criterion) {
             let mut out = vec![[0; 4]; n];
             let mut scratch = shade::Scratch::default();
             c.bench_function(&id("shade"), |b| {
-                b.iter(|| shade::shade(&params, &color, &depth, &mut scratch, &mut out));
+                b.iter(|| shade::shade(&params, &color, &depth, &Default::default(), &mut scratch, &mut out));
             });
             let mut renderer = CpuRenderer::new(&case.scene, &resident);
             c.bench_function(&id("frame"), |b| {

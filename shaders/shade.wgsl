@@ -1,6 +1,18 @@
 // Stage shade: colour, screen-space normals, screen-space ambient occlusion, fog and sky.
 // Twin: src/cpu/shade.rs. Grid: pixels.
 //!include shared/frame.wgsl
+//!if SCENE
+//!include shared/scene.wgsl
+//!endif
+//!if SHADOWS
+//!include shared/shadow.wgsl
+//!endif
+//!if SMOOTH_NORMALS
+//!include shared/ground.wgsl
+//!endif
+//!if DERIVED_NORMALS
+//!include shared/normal.wgsl
+//!endif
 
 @group(0) @binding(3) var<storage, read> image_color: array<u32>;
 @group(0) @binding(4) var<storage, read> image_depth: array<u32>;
@@ -42,7 +54,12 @@ fn put(i: u32, rgba: u32) {
 fn sky(ray: vec3<f32>) -> vec3<f32> {
     let elevation = dot(ray, frame.up) / length(ray);
     let to = select(SKY_NADIR, SKY_ZENITH, elevation >= 0.0);
-    return mix(SKY_HORIZON, to, min(sqrt(abs(elevation)), 1.0));
+    var share = min(sqrt(abs(elevation)), 1.0);
+    if (frame.fog > 0.0) {
+        // The horizon lies in the haze, and below it there is nothing else.
+        share *= 1.0 - exp(-HORIZON_CLEARS * max(elevation, 0.0));
+    }
+    return mix(SKY_HORIZON, to, share);
 }
 
 fn tangent(x: i32, y: i32, z: f32, here: vec3<f32>, dx: i32, dy: i32) -> vec3<f32> {
@@ -124,9 +141,38 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let z = bitcast<f32>(bits);
     var light = 1.0;
     if (NORMALS || OCCLUSION) {
+//!if SMOOTH_NORMALS
+        let here = ray * z;
+        let from_eye = frame.axis_right * here.x + frame.axis_up * here.y + frame.axis_forward * here.z;
+        let of_ground = ground_normal(from_eye, max(frame.size * z, 1.0));
+        var n = vec3(dot(frame.axis_right, of_ground), dot(frame.axis_up, of_ground), dot(frame.axis_forward, of_ground));
+        if (all(of_ground == vec3(0.0))) {
+            n = normal(x, y, z);
+        }
+//!else
+//!if DERIVED_NORMALS
+        let along = frame.axis_right * ray.x + frame.axis_up * ray.y + frame.axis_forward;
+        let of_voxel = occupancy_normal(along * z, along, max(frame.size * z, 1.0));
+        var n = vec3(dot(frame.axis_right, of_voxel), dot(frame.axis_up, of_voxel), dot(frame.axis_forward, of_voxel));
+        if (all(of_voxel == vec3(0.0))) {
+            n = normal(x, y, z);
+        }
+//!else
         let n = normal(x, y, z);
+//!endif
+//!endif
         if (NORMALS) {
+//!if SHADOWS
+            var sun = max(dot(n, frame.sun), 0.0);
+            if (sun > 0.0) {
+                let size = max(frame.size * z, 1.0);
+                let start = ray * z + n * shadow_bias(size, 1.0 / (frame.pixel * z));
+                let origin = frame.axis_right * start.x + frame.axis_up * start.y + frame.axis_forward * start.z;
+                sun = select(0.0, sun, sun_shines(origin, size));
+            }
+//!else
             let sun = max(dot(n, frame.sun), 0.0);
+//!endif
             light = frame.ambient + (1.0 - frame.ambient) * (0.25 * dot(n, frame.up) + 0.25 + 0.75 * sun);
         }
         if (OCCLUSION) {
@@ -137,7 +183,11 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let lit = rgb * light;
     var haze = 0.0;
     if (frame.fog > 0.0) {
-        haze = 1.0 - exp(-z * length(ray) * frame.fog);
+        let up = dot(ray, frame.up);
+        // Where the view ends, nothing is left to end.
+        let far = max(z * sqrt(max(dot(ray, ray) - up * up, 0.0)) / frame.view_distance - FADE_BEGINS, 0.0);
+        let fade = min(far * (1.0 / (1.0 - FADE_BEGINS)), 1.0);
+        haze = 1.0 - exp(-z * length(ray) * frame.fog) * (1.0 - fade * fade * (3.0 - 2.0 * fade));
     }
     put(i, pack(mix(lit, SKY_HORIZON, haze)));
 }

@@ -55,6 +55,7 @@
 //! | `traverse` | planes, columns → plane buffer | plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
 //! | `remap` | plane buffer → pixels, doubts | pixel | [`cpu::remap`] | `remap.wgsl` |
 //! | `refine` | doubts, columns → pixels | pixel | [`cpu::refine`] | `refine.wgsl` |
+//! | `smooth` | height field → pixels, where asked for | pixel | [`cpu::smooth`] | `smooth.wgsl` |
 //! | `gap_fill` | pixels → pixels without holes | pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
 //! | `shade` | colour, depth → picture | pixel | [`cpu::shade`] | `shade.wgsl` |
 //!
@@ -119,7 +120,7 @@ pub mod world;
 pub use cpu::renderer::{CpuRenderer, Outputs};
 pub use error::{Error, Result};
 pub use frame::camera::Camera;
-pub use frame::options::{Culling, Options, Planes, Remap, Repeat, Shading};
+pub use frame::options::{Culling, Normals, Options, Planes, Remap, Repeat, Shading};
 pub use frame::picture::{Frame, StageTimes, Stats};
 pub use frame::specialize::{Feature, Features};
 #[cfg(feature = "gpu")]

@@ -51,6 +51,23 @@ struct Frame {
     // 0: the sky is transparent.
     sky: u32,
     view_distance: f32,
+    // The camera's axes and the sun in the world.
+    axis_right: vec3<f32>,
+    // Size of a voxel drawn at depth 1.
+    size: f32,
+    axis_up: vec3<f32>,
+    // Levels of `tops`.
+    top_levels: u32,
+    axis_forward: vec3<f32>,
+    world_top: f32,
+    sun_world: vec3<f32>,
+    // Where walks towards the sun end.
+    shadow_end: f32,
+    // Levels of `surface_tops`, 0 where no surface is drawn, the highest of them, and up to what depth it is drawn.
+    surface_levels: u32,
+    surface_top: f32,
+    smooth_near: f32,
+    _pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -22,7 +22,7 @@ use planecast_encoder::format::write::{keep_input, resolved};
 use planecast_encoder::inspect::info;
 use planecast_encoder::source::ReadOptions;
 use planecast_encoder::store::guard;
-use planecast_encoder::{Error as FileError, Scene, note, say};
+use planecast_encoder::{About, Error as FileError, Scene, note, say};
 use serde_json::json;
 
 use crate::cpu::pick;
@@ -44,10 +44,12 @@ use crate::measure::report;
 #[cfg(feature = "report")]
 use crate::measure::stability;
 use crate::output::Picture;
+use crate::render::annotate::annotate;
 use crate::render::device::{Device, Renderer};
+use crate::world::is_surface;
 use crate::{
-    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading,
-    output, view,
+    Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Remap, Repeat, Resident, Result,
+    Shading, output, view,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -126,6 +128,9 @@ pub struct RenderArgs {
     size: [u32; 2],
     #[command(flatten)]
     draw: DrawArgs,
+    /// Draw a scale bar, an arrow to the north and, for heights, colours with their values into the picture
+    #[arg(long)]
+    annotate: bool,
     /// Also write the depth of every pixel (NPY, f4, H x W)
     #[arg(long, value_name = "D.npy")]
     depth: Option<PathBuf>,
@@ -189,6 +194,9 @@ pub struct FlyArgs {
     size: [u32; 2],
     #[command(flatten)]
     draw: DrawArgs,
+    /// Draw a scale bar, an arrow to the north and, for heights, colours with their values into each frame
+    #[arg(long)]
+    annotate: bool,
     /// Also write what the last frame drawn cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
@@ -399,7 +407,8 @@ pub struct DrawArgs {
     /// Walk planes in f64, on the CPU alone
     #[arg(long)]
     f64: bool,
-    /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both
+    /// Colour as stored, screen-space normals, screen-space ambient occlusion, or both; or both with the light that shows a terrain,
+    /// a model, a scan best, of which --sun, --shadows and --normals change what they name
     #[arg(long, value_enum, value_name = "SHADING", default_value = "full")]
     shading: ShadingArg,
     /// Neighbours that occlusion is taken from, 1 to 64
@@ -412,6 +421,16 @@ pub struct DrawArgs {
     /// light]
     #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = sun)]
     sun: Option<[f64; 2]>,
+    /// What stands before the sun throws shadows; of the usual light without --sun [default: off]
+    #[arg(long, value_enum, value_name = "on|off")]
+    shadows: Option<Switch>,
+    /// What surfaces are lit by: depths of the pixels around, or what is solid around each voxel [default: screen]
+    #[arg(long, value_enum, value_name = "FROM")]
+    normals: Option<NormalsArg>,
+    /// A height field as a surface where it is near, and lit as one, not as blocks [default: on for height maps that are opened to
+    /// be looked at]
+    #[arg(long, value_enum, value_name = "on|off")]
+    smooth: Option<Switch>,
     /// The sky in pictures; none leaves it transparent in PNG files
     #[arg(long, value_enum, value_name = "SKY", default_value = "shown")]
     sky: SkyArg,
@@ -480,6 +499,24 @@ enum ShadingArg {
     Ssn,
     Ssao,
     Full,
+    /// A sun in the north-west, and its shadows
+    Terrain,
+    /// A sun from behind the left shoulder of one who looks north, shadows, derived normals
+    Model,
+    /// Derived normals
+    Scan,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum NormalsArg {
+    Screen,
+    Derived,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Switch {
+    On,
+    Off,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -626,12 +663,25 @@ impl DrawArgs {
                 ShadingArg::None => Shading::None,
                 ShadingArg::Ssn => Shading::Ssn,
                 ShadingArg::Ssao => Shading::Ssao,
-                ShadingArg::Full => Shading::Full,
+                ShadingArg::Full | ShadingArg::Terrain | ShadingArg::Model | ShadingArg::Scan => Shading::Full,
             },
             f64_traversal: self.f64,
             ssao_samples: self.ssao_samples,
             fog: self.fog,
-            sun: self.sun,
+            sun: self.sun.or(match self.shading {
+                ShadingArg::Terrain => Some([315.0, 40.0]),
+                ShadingArg::Model => Some([205.0, 50.0]),
+                _ => None,
+            }),
+            shadows: self
+                .shadows
+                .map_or(matches!(self.shading, ShadingArg::Terrain | ShadingArg::Model), |s| s == Switch::On),
+            normals: match (self.normals, self.shading) {
+                (Some(NormalsArg::Derived), _) | (None, ShadingArg::Model | ShadingArg::Scan) => Normals::Derived,
+                _ => Normals::Screen,
+            },
+            // Where nothing is said, that is decided when the scene is known.
+            smooth: self.smooth == Some(Switch::On),
             sky: self.sky == SkyArg::Shown,
             specialize: self.specialize,
         };
@@ -677,9 +727,23 @@ fn tell(what: &str) {
     note!("{what}");
 }
 
-fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<Scene> {
+fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<(Scene, Surface)> {
     let opened = planecast_encoder::cli::open(path, read)?;
-    Ok(planecast_encoder::cli::read_scene(&opened.file, skip_broken)?)
+    let surface = Surface::of(&opened);
+    Ok((planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface))
+}
+
+/// What is known of the surface that a scene stands for.
+struct Surface {
+    stands: bool,
+    about: About,
+}
+
+impl Surface {
+    fn of(opened: &planecast_encoder::encode::open::Opened) -> Surface {
+        let about = opened.file.about().clone();
+        Surface { stands: is_surface(&about, opened.encoded), about }
+    }
 }
 
 /// How an input is read that a person is to look at.
@@ -692,9 +756,21 @@ fn named_file(path: &PathBuf) -> Option<&PathBuf> {
     Some(path).filter(|path| **path != FilePath::new(output::STDOUT))
 }
 
-/// A scene and its tables, as renderers share them.
-fn shared(scene: Scene, features: Features) -> (Arc<Scene>, Arc<Resident>) {
-    let resident = Resident::with(&scene, features);
+/// A scene and its tables, as renderers share them. Options that it has nothing for are taken back, with a word.
+fn shared(scene: Scene, features: Features, surface: &Surface, options: &mut Options) -> (Arc<Scene>, Arc<Resident>) {
+    // A surface is drawn from heights alone.
+    let features = if options.smooth { features.with(crate::Feature::Heights) } else { features };
+    let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+    if options.smooth && !resident.heights {
+        options.smooth = false;
+        if !surface.stands {
+            tell("--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn");
+        }
+    }
+    if options.normals == Normals::Derived && scene.encoding != planecast_encoder::Encoding::Solid {
+        options.normals = Normals::Screen;
+        tell("derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn");
+    }
     (Arc::new(scene), Arc::new(resident))
 }
 
@@ -725,14 +801,20 @@ impl RenderArgs {
         ];
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
-        let options = self.draw.options();
-        let scene = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        let mut options = self.draw.options();
+        let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
         let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
-        let (scene, resident) = shared(scene, self.draw.specialize);
+        // Who asks for depths or voxels measures what is there.
+        let measured = self.depth.is_some() || self.voxel.is_some();
+        options.smooth |= self.draw.smooth.is_none() && !measured && surface.stands;
+        let (scene, resident) = shared(scene, self.draw.specialize, &surface, &mut options);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
-        let frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+        let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+        if self.annotate {
+            annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+        }
 
         let mut files = Vec::new();
         if let Some(path) = named_file(&self.output) {
@@ -787,13 +869,15 @@ impl FlyArgs {
         }
         check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
         self.draw.set_threads()?;
-        let options = self.draw.options();
+        let mut options = self.draw.options();
         let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
         if self.aim.is_given() && (self.path.is_some() || self.tour) {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
         }
-        let file = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?.file;
+        let opened = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?;
+        let surface = Surface::of(&opened);
+        let file = opened.file;
         let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
@@ -832,10 +916,11 @@ impl FlyArgs {
             })?;
         }
 
-        let (scene, resident) = shared(scene, self.draw.specialize);
+        options.smooth |= self.draw.smooth.is_none() && surface.stands;
+        let (scene, resident) = shared(scene, self.draw.specialize, &surface, &mut options);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
-        renderer.set_depth(false);
+        renderer.set_depth(self.annotate);
         let film = Film {
             output: &self.output,
             kind,
@@ -846,13 +931,17 @@ impl FlyArgs {
             source: json!({
                 "scene": content,
                 "device": renderer.name(),
-                "options": format!("{options:?}"),
+                "options": format!("{options:?}{}", if self.annotate { ", annotated" } else { "" }),
             }),
             stop: stop_on_ctrl_c(),
         };
         let draw = &mut |cameras: &[Camera], spare: Option<Frame>| {
             renderer.reuse(spare);
-            renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)
+            let mut frame = renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)?;
+            if self.annotate {
+                annotate(&mut frame, &cameras[0], &scene, &resident, &surface.about);
+            }
+            Ok(frame)
         };
         let outcome = fly::fly(&film, draw)?;
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
@@ -908,6 +997,7 @@ impl ViewArgs {
             device: self.draw.device,
             kernel: self.draw.kernel.clone(),
             options: self.draw.options(),
+            smooth: self.draw.smooth.map(|smooth| smooth == Switch::On),
             size: self.window,
             full_screen: self.full_screen,
             target_fps: self.target_fps,
@@ -1003,7 +1093,7 @@ fn end_on_ctrl_c() {
 
 impl PickArgs {
     fn run(&self) -> Result<()> {
-        let report = pick::report(&open_scene(&self.scene, &self.input.read, false)?, self.from, self.dir)?;
+        let report = pick::report(&open_scene(&self.scene, &self.input.read, false)?.0, self.from, self.dir)?;
         print(&(serde_json::to_string(&report).expect("plain values have a JSON form") + "\n"))
     }
 }
@@ -1227,7 +1317,7 @@ mod tests {
         assert_eq!(usual, Options::default());
         let all = "--view-distance 40000 --repeat xz --lod off --planes 50% --spacing readjusted --samples 150% --cull horizon,bits \
                    --equidistant 900 --remap nearest --no-gap-fill --f64 --shading ssao --ssao-samples 5 --fog 2500 \
-                   --sun 315,-4.5 --sky none --specialize heights,upright";
+                   --sun 315,-4.5 --shadows on --normals derived --smooth on --sky none --specialize heights,upright";
         let expected = Options {
             view_distance: 40_000.0,
             repeat: Repeat { x: true, z: true },
@@ -1244,6 +1334,9 @@ mod tests {
             ssao_samples: 5,
             fog: Some(2500.0),
             sun: Some([315.0, -4.5]),
+            shadows: true,
+            normals: Normals::Derived,
+            smooth: true,
             sky: false,
             specialize: [crate::Feature::Heights, crate::Feature::Upright].into_iter().collect(),
         };
@@ -1264,7 +1357,7 @@ mod tests {
     #[test]
     fn cli_flags_that_options_give_draw_with_them() {
         let all = "--view-distance 40000.25 --repeat x --lod 0.7 --planes 55.5% --spacing full --samples 62.5% --cull horizon,coarse \
-                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --sky none --specialize heights,packed";
+                   --equidistant 900.5 --remap nearest --no-gap-fill --f64 --shading ssn --ssao-samples 5 --fog 2500.125 --sun=-45.5,0.1 --shadows on --normals derived --smooth on --sky none --specialize heights,packed";
         for flags in ["", all, "--planes 7 --lod off --cull none --repeat xz --shading none"] {
             let options = render(flags).draw.options();
             assert_eq!(render(&options.flags()).draw.options(), options, "{}", options.flags());

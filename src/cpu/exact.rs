@@ -1,5 +1,6 @@
 //! The reference: one ray a pixel at level 0, in f64, sharing no code with the planes.
 
+use crate::cpu::smooth::Ground;
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::plane_setup::{FARTHEST_VIEW, REPEATED_VIEW_DISTANCE};
@@ -163,6 +164,16 @@ fn meet(columns: &Columns, column: usize, eye: f64, dy: f64, t0: f64, t1: f64) -
     }
 }
 
+/// How far is drawn, in voxels.
+pub fn view_distance(options: &Options) -> f64 {
+    let repeats = options.repeat.x || options.repeat.z;
+    match repeats {
+        false => options.view_distance,
+        true if options.view_distance.is_finite() => options.view_distance.min(FARTHEST_VIEW),
+        true => REPEATED_VIEW_DISTANCE,
+    }
+}
+
 /// Renders into `color` (packed, 0 for sky), `depth` and, unless empty, `voxel`.
 pub fn exact(
     scene: &Scene,
@@ -176,11 +187,8 @@ pub fn exact(
     let basis = camera.basis();
     let columns = scene.levels[0].geometry(scene.encoding);
     let repeats = [options.repeat.x, options.repeat.z];
-    let view = if options.view_distance.is_finite() || repeats == [false, false] {
-        options.view_distance.min(if repeats == [false, false] { f64::INFINITY } else { FARTHEST_VIEW })
-    } else {
-        REPEATED_VIEW_DISTANCE
-    };
+    let view = view_distance(options);
+    let surface = options.smooth.then(|| Surface::new(scene, resident, repeats, camera.eye)).flatten();
     let wants_voxel = !voxel.is_empty();
     let width = camera.width as usize;
     let mut no_voxel = vec![[0; 4]; if wants_voxel { 0 } else { color.len() }];
@@ -191,6 +199,13 @@ pub fn exact(
             let dir = camera.ray(&basis, c as f64 + 0.5, r as f64 + 0.5);
             let horizontal = dir.x.hypot(dir.z);
             let t_max = if horizontal > 0.0 { view / horizontal } else { f64::INFINITY };
+            if let Some(surface) = &surface {
+                (color[c], depth[c], voxel[c]) = match surface.meet(camera.eye, dir, t_max) {
+                    Some(met) => (met.color, met.t as f32, [met.column[0] as i32, met.y, met.column[1] as i32, 0]),
+                    None => (0, f32::INFINITY, [-1; 4]),
+                };
+                continue;
+            }
             match cast(columns, repeats, camera.eye, dir, t_max) {
                 None => (color[c], depth[c], voxel[c]) = (0, f32::INFINITY, [-1; 4]),
                 Some(hit) => {
@@ -203,4 +218,126 @@ pub fn exact(
             }
         }
     });
+}
+
+/// The bilinear surface that a height field stands for with [`Options::smooth`], met by one f64 ray without any step left out.
+struct Surface<'a> {
+    ground: Ground<'a>,
+    dims: [i64; 2],
+    repeats: [bool; 2],
+    /// Above every place of it.
+    top: f64,
+}
+
+struct Met {
+    t: f64,
+    column: [i64; 2],
+    y: i32,
+    color: u32,
+}
+
+impl<'a> Surface<'a> {
+    /// `None` where the world is no height field, or the eye is below the surface: blocks are drawn then.
+    fn new(scene: &Scene, resident: &'a Resident, repeats: [bool; 2], eye: DVec3) -> Option<Surface<'a>> {
+        let ground = Ground::new(resident, repeats)?;
+        let [nx, ny, nz] = scene.dims();
+        let surface = Surface { ground, dims: [nx.into(), nz.into()], repeats, top: f64::from(ny) + 1.0 };
+        let cell = [eye.x, eye.z].map(|v| v.floor() as i64);
+        let below = surface
+            .column(cell)
+            .is_some_and(|ix| ground.height(ix) >= 0.0 && eye.y <= surface.patch_at([eye.x, eye.z]).0);
+        (!below).then_some(surface)
+    }
+
+    fn column(&self, cell: [i64; 2]) -> Option<usize> {
+        self.ground.index([0, 1].map(|k| match self.repeats[k] {
+            true => cell[k].rem_euclid(self.dims[k]) as i32,
+            false => cell[k].clamp(-1, self.dims[k]) as i32,
+        }))
+    }
+
+    /// Height of the surface at a place; its patch's corners, where the patch begins, and its terms.
+    fn patch_at(&self, at: [f64; 2]) -> (f64, [usize; 4], [f64; 2], [f64; 4]) {
+        let first = at.map(|v| (v - 0.5).floor());
+        let corner = [0, 1].map(|k| match self.repeats[k] {
+            true => (first[k] as i64).rem_euclid(self.dims[k]) as i32,
+            false => (first[k] as i64).clamp(-1, self.dims[k]) as i32,
+        });
+        let columns = self.ground.columns(corner);
+        let terms = self.ground.patch(columns).map(f64::from);
+        let [u, v] = [0, 1].map(|k| at[k] - first[k] - 0.5);
+        (terms[0] + terms[1] * u + terms[2] * v + terms[3] * u * v, columns, [u, v], terms)
+    }
+
+    fn meet(&self, eye: DVec3, dir: DVec3, t_max: f64) -> Option<Met> {
+        let (origin, direction) = ([eye.x, eye.z], [dir.x, dir.z]);
+        let (mut t, mut end) = (0.0f64, t_max);
+        for k in (0..2).filter(|&k| !self.repeats[k]) {
+            if direction[k] == 0.0 {
+                if origin[k] < 0.0 || origin[k] >= self.dims[k] as f64 {
+                    return None;
+                }
+                continue;
+            }
+            let [a, b] = [0.0, self.dims[k] as f64].map(|side| (side - origin[k]) / direction[k]);
+            (t, end) = (t.max(a.min(b)), end.min(a.max(b)));
+        }
+        let (to_top, to_ground) = ((self.top - eye.y) / dir.y, -eye.y / dir.y);
+        if dir.y < 0.0 {
+            (t, end) = (t.max(to_top), end.min(to_ground));
+        } else if dir.y > 0.0 {
+            (t, end) = (t.max(to_ground), end.min(to_top));
+        } else if eye.y >= self.top {
+            return None;
+        }
+        // The middle of each stretch between lines half a column apart tells where it lies.
+        let step = direction.map(|d| if d < 0.0 { -1.0 } else { 1.0 });
+        let mut line = [0, 1].map(|k| {
+            let at = (origin[k] + t * direction[k]) * 2.0;
+            if step[k] > 0.0 { at.floor() + 1.0 } else { at.ceil() - 1.0 }
+        });
+        let cross = |k: usize, line: f64| match direction[k] == 0.0 {
+            true => f64::INFINITY,
+            false => (0.5 * line - origin[k]) / direction[k],
+        };
+        while t < end {
+            let lines = [cross(0, line[0]), cross(1, line[1])];
+            let k = usize::from(lines[1] < lines[0]);
+            let next = lines[k].min(end);
+            if next > t {
+                let middle = [0, 1].map(|k| origin[k] + 0.5 * (t + next) * direction[k]);
+                let column = middle.map(|v| v.floor() as i64);
+                if let Some(ix) = self.column(column).filter(|&ix| self.ground.height(ix) >= 0.0) {
+                    let (_, columns, [u, v], [a, b, c, d]) = self.patch_at(middle);
+                    let half = 0.5 * (t - next);
+                    let [u, v] = [u + half * dir.x, v + half * dir.z];
+                    let above = eye.y + t * dir.y - (a + b * u + c * v + d * u * v);
+                    let slope = dir.y - (b * dir.x + c * dir.z + d * (u * dir.z + v * dir.x));
+                    if let Some(s) = first_below(above, slope, -d * dir.x * dir.z, next - t) {
+                        let top = self.ground.height(ix).round() as i32 - 1;
+                        let place = [u + s * dir.x, v + s * dir.z].map(|v| v.clamp(0.0, 1.0) as f32);
+                        let y = ((eye.y + (t + s) * dir.y) as i32).clamp(0, top.max(0));
+                        return Some(Met { t: t + s, column, y, color: self.ground.color(columns, place) });
+                    }
+                }
+                t = next;
+            }
+            line[k] += step[k];
+        }
+        None
+    }
+}
+
+/// The least s of 0 to `most` at which `c + b·s + a·s²` is not above 0.
+fn first_below(c: f64, b: f64, a: f64, most: f64) -> Option<f64> {
+    if c <= 0.0 {
+        return Some(0.0);
+    }
+    if a.abs() < 1e-300 {
+        return Some(-c / b).filter(|s| b < 0.0 && *s <= most);
+    }
+    let square = b * b - 4.0 * a * c;
+    let q = -0.5 * (b + b.signum() * square.max(0.0).sqrt());
+    let roots = [q / a, c / q].into_iter().filter(|s| *s >= 0.0 && *s <= most);
+    roots.fold(None, |least: Option<f64>, s| Some(least.map_or(s, |l| l.min(s)))).filter(|_| square >= 0.0)
 }

@@ -2,9 +2,12 @@
 
 pub mod exact;
 pub mod gap_fill;
+pub mod normal;
 pub mod pick;
 pub mod refine;
 pub mod remap;
 pub mod renderer;
 pub mod shade;
+pub mod shadow;
+pub mod smooth;
 pub mod traverse;

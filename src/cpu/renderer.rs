@@ -1,16 +1,20 @@
 //! One frame from camera to picture, stage by stage.
 
 use crate::clock::Instant;
+use crate::cpu::normal::Occupancy;
+use crate::cpu::shade::NormalsOf;
+use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
+use crate::cpu::smooth::{self, Ground};
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
 use crate::cpu::{gap_fill, refine, remap, shade};
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
-use crate::frame::options::{Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
+use crate::frame::options::{Normals, Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
 use crate::frame::picture::{Frame, StageTimes, Stats};
 use crate::frame::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::frame::specialize::{Specialization, Twin};
 use crate::world::tables::Resident;
-use planecast_encoder::{ColorMode, Scene};
+use planecast_encoder::{ColorMode, Encoding, Scene};
 use std::sync::Arc;
 
 /// Pixels a frame may have.
@@ -27,6 +31,10 @@ pub struct CpuRenderer {
     /// A frame whose memory the next one takes.
     spare: Option<Frame>,
     shade: shade::Scratch,
+    /// Made for the first frame with shadows.
+    tops: Option<Arc<Tops>>,
+    /// The same of the first that is smooth, and along which axes its world repeats.
+    surface: Option<(Arc<Tops>, [bool; 2])>,
 }
 
 /// What is wanted beside colour and depth.
@@ -111,7 +119,7 @@ impl CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
-        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade }
+        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade, tops: None, surface: None }
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -141,10 +149,13 @@ impl CpuRenderer {
 
         let at = Instant::now();
         let holes = self.remap(&setup, camera, options, retest, &mut frame);
+        if options.smooth {
+            self.smooth(&setup, camera, &mut frame);
+        }
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
-        self.shade(camera, options, &mut frame);
+        self.shade(camera, options, Some(&setup), &mut frame);
         let shade_ms = milliseconds(at);
 
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "planes");
@@ -177,7 +188,7 @@ impl CpuRenderer {
         crate::cpu::exact::exact(&self.scene, &self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
-        self.shade(camera, options, &mut frame);
+        self.shade(camera, options, None, &mut frame);
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "exact", "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
@@ -188,9 +199,56 @@ impl CpuRenderer {
         Ok(frame)
     }
 
-    fn shade(&mut self, camera: &Camera, options: &Options, frame: &mut Frame) {
+    /// The surface of a height field, over its blocks.
+    fn smooth(&mut self, setup: &Setup, camera: &Camera, frame: &mut Frame) {
+        let known = self.surface.take().filter(|(_, repeats)| *repeats == setup.repeats);
+        self.surface =
+            known.or_else(|| Some((Arc::new(Tops::over_surface(&self.resident, setup.repeats)?), setup.repeats)));
+        let Some((tops, _)) = &self.surface else { return };
+        let (color, doubt) = (&mut self.color, &mut self.doubt);
+        let mut pixels = remap::Pixels { color, depth: &mut frame.depth, voxel: &mut frame.voxel, doubt };
+        smooth::smooth(&self.resident, tops, setup, camera, &mut pixels);
+    }
+
+    /// Shades what a walk in planes drew, or, without a setup, what `exact` did.
+    fn shade(&mut self, camera: &Camera, options: &Options, setup: Option<&Setup>, frame: &mut Frame) {
         let params = shade::ShadeParams::new(camera, options);
-        shade::shade(&params, &self.color, &frame.depth, &mut self.shade, &mut frame.color);
+        let sunlight = match (options.shadows, setup) {
+            (false, _) => None,
+            (true, Some(setup)) => {
+                let tops = self.tops.get_or_insert_with(|| Arc::new(Tops::new(&self.resident)));
+                Some(Sunlight::Walk(Shadows::new(&self.resident, tops, setup, params.sun_world)))
+            }
+            (true, None) => Some(Sunlight::Exact(ExactShadows {
+                columns: self.scene.levels[0].geometry(self.scene.encoding),
+                repeats: [options.repeat.x, options.repeat.z],
+                eye: camera.eye,
+                sun: params.sun_world.as_dvec3(),
+                view: crate::cpu::exact::view_distance(options),
+            })),
+        };
+        let repeats = [options.repeat.x, options.repeat.z];
+        let ground = options.smooth.then(|| Ground::new(&self.resident, repeats)).flatten();
+        let surface = ground.map(|ground| match setup {
+            Some(setup) => smooth::Normals::new(ground, setup.eye_cell, setup.eye_fract),
+            None => {
+                let cell = camera.eye.floor();
+                smooth::Normals::new(ground, cell.to_array().map(|v| v as i32), (camera.eye - cell).to_array())
+            }
+        });
+        let of_exact;
+        let derived = derives_normals(&self.scene, options) && surface.is_none();
+        let setup = match setup {
+            None if derived => {
+                of_exact = plane_setup(&self.resident, camera, options);
+                Some(&of_exact)
+            }
+            setup => setup,
+        };
+        let occupancy = setup.filter(|_| derived).map(|setup| Occupancy::new(&self.resident, setup));
+        let normals = surface.map(NormalsOf::Surface).or(occupancy.map(NormalsOf::Occupancy));
+        let lighting = shade::Lighting { sunlight, normals };
+        shade::shade(&params, &self.color, &frame.depth, &lighting, &mut self.shade, &mut frame.color);
     }
 
     fn frame(&mut self, camera: &Camera, outputs: Outputs) -> Frame {
@@ -262,6 +320,12 @@ impl CpuRenderer {
         }
         holes
     }
+}
+
+/// Whether normals come from what is solid: not where the interior was left out, nor where nothing is lit by them.
+pub(crate) fn derives_normals(scene: &Scene, options: &Options) -> bool {
+    let lit = options.lit() != Shading::None;
+    options.normals == Normals::Derived && lit && scene.encoding == Encoding::Solid
 }
 
 /// An eye inside a solid voxel sees that voxel at depth 0 in every pixel.
@@ -338,6 +402,9 @@ pub(crate) fn frame_stats(
         Shading::Ssao => specialization.push("ssao".into()),
         Shading::Full => specialization.extend(["ssn".into(), "ssao".into()]),
     }
+    specialization.extend(options.shadows.then(|| "shadows".into()));
+    specialization.extend(derives_normals(scene, options).then(|| "derived-normals".into()));
+    specialization.extend(options.smooth.then(|| "smooth".into()));
     Stats {
         device: device.into(),
         kernel: kernel.into(),

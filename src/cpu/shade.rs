@@ -6,6 +6,9 @@
 //! pattern; each counts by how far it stands above the pixel's tangent plane (McGuire et al. 2011; the paper cites
 //! Mittring 2007, which needs no normals). Everything is f32 and a function of the pixel's neighbourhood alone.
 
+use crate::cpu::normal::Occupancy;
+use crate::cpu::shadow::{Sunlight, bias, size_at_1};
+use crate::cpu::smooth::Normals;
 use crate::cpu::traverse::has_avx2;
 use crate::frame::camera::Camera;
 use crate::frame::options::{Options, Shading};
@@ -24,6 +27,10 @@ pub const AMBIENT: f32 = 0.50;
 pub const AMBIENT_SUN: f32 = 0.30;
 /// Towards the sun, in the world, unless told otherwise; not normalised.
 pub const SUN: [f32; 3] = [0.5, 0.8, 0.35];
+/// How fast the sky clears above the horizon where there is fog, by the sine of elevation.
+pub const HORIZON_CLEARS: f32 = 24.0;
+/// From which share of the view distance on haze hides that it ends.
+pub const FADE_BEGINS: f32 = 0.6;
 /// Sky at the horizon, at the zenith and below the horizon; sRGB.
 pub const SKY_HORIZON: [f32; 3] = [0.78, 0.86, 0.93];
 pub const SKY_ZENITH: [f32; 3] = [0.30, 0.52, 0.84];
@@ -54,6 +61,15 @@ pub struct ShadeParams {
     pub sky: bool,
     /// 1 / fog distance, 0 for clear air.
     pub fog: f32,
+    /// 1 / view distance.
+    pub per_view: f32,
+    /// The camera's axes (right, up, forward) and the sun in the world.
+    pub axes: [Vec3; 3],
+    pub sun_world: Vec3,
+    /// Size of a voxel drawn at depth 1.
+    pub size: f32,
+    /// Whether voxels stand for a surface, and are no blocks however near.
+    pub smooth: bool,
 }
 
 impl ShadeParams {
@@ -80,6 +96,11 @@ impl ShadeParams {
             ambient: if options.sun.is_some() { AMBIENT_SUN } else { AMBIENT },
             sky: options.sky,
             fog: options.fog.map_or(0.0, |f| (1.0 / f) as f32),
+            per_view: (1.0 / crate::cpu::exact::view_distance(options).min(1e9)) as f32,
+            axes: [basis.right, basis.up, basis.forward].map(|v| v.as_vec3()),
+            sun_world: sun.as_vec3(),
+            size: size_at_1(options, (1.0 / camera.focal()) as f32),
+            smooth: options.smooth,
         }
     }
 }
@@ -181,14 +202,48 @@ impl Scratch {
     }
 }
 
+/// What of the scene shading looks at, where it is asked to: the default is nothing.
+#[derive(Default)]
+pub struct Lighting<'a> {
+    /// What is in the shadow.
+    pub sunlight: Option<Sunlight<'a>>,
+    /// In place of those of the screen.
+    pub normals: Option<NormalsOf<'a>>,
+}
+
+/// Where normals come from but for the screen.
+pub enum NormalsOf<'a> {
+    /// The surface that a height field stands for.
+    Surface(Normals<'a>),
+    /// What is solid around a voxel.
+    Occupancy(Occupancy<'a>),
+}
+
+impl NormalsOf<'_> {
+    #[inline(always)]
+    fn at(&self, from_eye: Vec3, ray: Vec3, size: f32) -> Option<Vec3> {
+        match self {
+            NormalsOf::Surface(normals) => normals.at(from_eye, size),
+            NormalsOf::Occupancy(normals) => normals.at(from_eye, ray, size),
+        }
+    }
+}
+
 /// Shades a frame: packed colours (0 for sky) and depths in, sRGB out.
-pub fn shade(p: &ShadeParams, color: &[u32], depth: &[f32], scratch: &mut Scratch, out: &mut [[u8; 4]]) {
+pub fn shade(
+    p: &ShadeParams,
+    color: &[u32],
+    depth: &[f32],
+    lighting: &Lighting<'_>,
+    scratch: &mut Scratch,
+    out: &mut [[u8; 4]],
+) {
     scratch.fill(p, depth);
     let w = p.width as usize;
     let avx2 = has_avx2();
     let tasks = out.par_chunks_mut(ROWS_A_TASK * w).zip(color.par_chunks(ROWS_A_TASK * w)).enumerate();
     tasks.for_each(|(task, (out, color))| {
-        let task = RowsTask { p, scratch, first_row: task * ROWS_A_TASK, color, out };
+        let task = RowsTask { p, lighting, scratch, first_row: task * ROWS_A_TASK, color, out };
         #[cfg(target_arch = "x86_64")]
         if avx2 {
             // SAFETY: `has_avx2` has seen that the processor can.
@@ -202,6 +257,7 @@ pub fn shade(p: &ShadeParams, color: &[u32], depth: &[f32], scratch: &mut Scratc
 /// Some rows of a picture.
 struct RowsTask<'a> {
     p: &'a ShadeParams,
+    lighting: &'a Lighting<'a>,
     scratch: &'a Scratch,
     first_row: usize,
     color: &'a [u32],
@@ -217,7 +273,7 @@ fn shade_rows_avx2(task: RowsTask<'_>) {
 
 #[inline(always)]
 fn shade_rows(task: RowsTask<'_>) {
-    let RowsTask { p, scratch, first_row, color, out } = task;
+    let RowsTask { p, lighting, scratch, first_row, color, out } = task;
     let w = p.width as usize;
     let mut words = [[0u32; LANES]; PHASES];
     for (r, (color, out)) in color.chunks_exact(w).zip(out.chunks_exact_mut(w)).enumerate() {
@@ -235,7 +291,7 @@ fn shade_rows(task: RowsTask<'_>) {
             }
             for (phase, words) in words.iter_mut().enumerate() {
                 let x = (block * PHASES * LANES + phase) as i32;
-                Block { p, scratch, x, y: (first_row + r) as i32 }.shade(words);
+                Block { p, lighting, scratch, x, y: (first_row + r) as i32 }.shade(words);
             }
             let mut whole = out.chunks_exact_mut(PHASES);
             for (lane, out) in whole.by_ref().enumerate() {
@@ -288,6 +344,7 @@ fn pack(c: [f32; 3]) -> u32 {
 /// The pixels of a phase from (`x`, `y`) on. Loops over lanes have no branches: compilers make vectors of them.
 struct Block<'a> {
     p: &'a ShadeParams,
+    lighting: &'a Lighting<'a>,
     scratch: &'a Scratch,
     x: i32,
     y: i32,
@@ -338,7 +395,12 @@ impl<'a> Block<'a> {
         let (rx, ry) = self.rays(0, 0);
         for (word, &rx) in words.iter_mut().zip(rx) {
             let elevation = (rx * p.up.x + ry * p.up.y + p.up.z) / (rx * rx + ry * ry + 1.0).sqrt();
-            let share = least(elevation.abs().sqrt(), 1.0);
+            let mut share = least(elevation.abs().sqrt(), 1.0);
+            if p.fog > 0.0 {
+                // The horizon lies in the haze, and below it there is nothing else.
+                let clear = 1.0 - (-HORIZON_CLEARS * greatest(elevation, 0.0)).exp();
+                share *= clear;
+            }
             *word = pack([0, 1, 2].map(|c| {
                 let to = if elevation >= 0.0 { SKY_ZENITH[c] } else { SKY_NADIR[c] };
                 (SKY_HORIZON[c] + (to - SKY_HORIZON[c]) * share) * 255.0
@@ -356,8 +418,13 @@ impl<'a> Block<'a> {
         }
         let mut light = [1.0; LANES];
         if p.normals || p.occlusion {
-            let n = self.normal();
-            if p.normals {
+            let n = match &self.lighting.normals {
+                None => self.normal(),
+                Some(normals) => self.normal_of_scene(normals),
+            };
+            if let Some(sunlight) = &self.lighting.sunlight {
+                self.light_of_sun(&n, sunlight, &mut light);
+            } else if p.normals {
                 let [nx, ny, nz] = &n;
                 for (light, ((&nx, &ny), &nz)) in light.iter_mut().zip(nx.iter().zip(ny).zip(nz)) {
                     let up = nx * p.up.x + ny * p.up.y + nz * p.up.z;
@@ -373,7 +440,12 @@ impl<'a> Block<'a> {
         if p.fog > 0.0 {
             let (rx, ry) = self.rays(0, 0);
             for ((haze, &z), &rx) in haze.iter_mut().zip(self.depth(0, 0)).zip(rx) {
-                *haze = 1.0 - (-z * (rx * rx + ry * ry + 1.0).sqrt() * p.fog).exp();
+                let square = rx * rx + ry * ry + 1.0;
+                let up = rx * p.up.x + ry * p.up.y + p.up.z;
+                // Where the view ends, nothing is left to end.
+                let far = greatest(z * greatest(square - up * up, 0.0).sqrt() * p.per_view - FADE_BEGINS, 0.0);
+                let fade = least(far * (1.0 / (1.0 - FADE_BEGINS)), 1.0);
+                *haze = 1.0 - (-z * square.sqrt() * p.fog).exp() * (1.0 - fade * fade * (3.0 - 2.0 * fade));
             }
         }
         for ((word, &light), &haze) in words.iter_mut().zip(&light).zip(&haze) {
@@ -382,6 +454,52 @@ impl<'a> Block<'a> {
                 let lit = ((color >> (8 * c)) & 255) as i32 as f32 * light;
                 lit + (SKY_HORIZON[c as usize] * 255.0 - lit) * haze
             }));
+        }
+    }
+
+    /// Unit normals as the scene has them, in camera axes; those of the screen where it has none.
+    #[inline(always)]
+    fn normal_of_scene(&self, normals: &NormalsOf<'_>) -> [Lanes; 3] {
+        let p = self.p;
+        let z = self.depth(0, 0);
+        let (rx, ry) = self.rays(0, 0);
+        let mut out = [[0.0; LANES]; 3];
+        let mut walls = false;
+        for i in (0..LANES).filter(|&i| z[i] < f32::INFINITY) {
+            let ray = p.axes[0] * rx[i] + p.axes[1] * ry + p.axes[2];
+            match normals.at(ray * z[i], ray, greatest(p.size * z[i], 1.0)) {
+                Some(n) => [out[0][i], out[1][i], out[2][i]] = p.axes.map(|axis| axis.dot(n)),
+                None => walls = true,
+            }
+        }
+        if walls {
+            let screen = self.normal();
+            for i in 0..LANES {
+                if [out[0][i], out[1][i], out[2][i]] == [0.0; 3] {
+                    [out[0][i], out[1][i], out[2][i]] = [screen[0][i], screen[1][i], screen[2][i]];
+                }
+            }
+        }
+        out
+    }
+
+    /// Light of the sun where it shines, and of the sky.
+    #[inline(always)]
+    fn light_of_sun(&self, [nx, ny, nz]: &[Lanes; 3], sunlight: &Sunlight<'_>, light: &mut Lanes) {
+        let p = self.p;
+        let z = self.depth(0, 0);
+        let (rx, ry) = self.rays(0, 0);
+        let world = |v: Vec3| p.axes[0] * v.x + p.axes[1] * v.y + p.axes[2] * v.z;
+        for i in 0..LANES {
+            let n = Vec3::new(nx[i], ny[i], nz[i]);
+            let up = n.x * p.up.x + n.y * p.up.y + n.z * p.up.z;
+            let mut sun = greatest(n.x * p.sun.x + n.y * p.sun.y + n.z * p.sun.z, 0.0);
+            if sun > 0.0 && z[i] < f32::INFINITY {
+                let size = greatest(p.size * z[i], 1.0);
+                let start = Vec3::new(rx[i], ry, 1.0) * z[i] + n * bias(size, 1.0 / (p.pixel * z[i]), p.smooth);
+                sun = if sunlight.lit(world(start), size) { sun } else { 0.0 };
+            }
+            light[i] = p.ambient + (1.0 - p.ambient) * (0.25 * up + 0.25 + 0.75 * sun);
         }
     }
 
@@ -478,6 +596,29 @@ impl<'a> Block<'a> {
     }
 }
 
+/// Normals of the screen, of each pixel, in camera axes; of the sky anything.
+#[cfg(test)]
+pub(crate) fn screen_normals(camera: &Camera, options: &Options, depth: &[f32]) -> Vec<Vec3> {
+    let p = ShadeParams::new(camera, options);
+    let mut scratch = Scratch::default();
+    scratch.fill(&p, depth);
+    let lighting = Lighting::default();
+    let mut out = vec![Vec3::ZERO; depth.len()];
+    for y in 0..p.height {
+        for first in (0..p.width).step_by(PHASES * LANES) {
+            for phase in 0..PHASES as i32 {
+                let x = first + phase;
+                let n = Block { p: &p, lighting: &lighting, scratch: &scratch, x, y }.normal();
+                for lane in (0..LANES).filter(|&lane| x + (PHASES * lane) as i32 <= p.width - 1) {
+                    let at = (y * p.width + x) as usize + PHASES * lane;
+                    out[at] = Vec3::new(n[0][lane], n[1][lane], n[2][lane]);
+                }
+            }
+        }
+    }
+    out
+}
+
 /// Radius of the occlusion spiral in pixels.
 pub fn radius_px(camera: &Camera) -> f32 {
     (SSAO_RADIUS * camera.height as f32).max(2.0)
@@ -514,7 +655,7 @@ mod tests {
         let color: Vec<u32> =
             (0..n).map(|i| if beside(i) { 0 } else { u32::from_le_bytes([204, 104, 50, 255]) }).collect();
         let mut out = vec![[1; 4]; n];
-        shade(&ShadeParams::new(camera, options), &color, &depth, scratch, &mut out);
+        shade(&ShadeParams::new(camera, options), &color, &depth, &Lighting::default(), scratch, &mut out);
         out
     }
 

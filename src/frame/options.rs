@@ -82,6 +82,16 @@ pub enum Shading {
     Full,
 }
 
+/// What surfaces are lit by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Normals {
+    /// The depths of the pixels around ([`Shading::Ssn`]).
+    #[default]
+    Screen,
+    /// What is solid around each voxel, where the scene has its solid interior.
+    Derived,
+}
+
 /// Everything but the camera and the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
@@ -110,6 +120,12 @@ pub struct Options {
     /// Where a sun stands that lights surfaces by their screen-space normals, in degrees: azimuth clockwise from north (−z),
     /// and elevation above the horizon. It shows relief: there is less light from elsewhere than without it.
     pub sun: Option<[f64; 2]>,
+    /// Whether what stands before the sun throws shadows; of the usual light where no sun is given.
+    pub shadows: bool,
+    /// Where normals come from.
+    pub normals: Normals,
+    /// Whether a height field is drawn as a surface where it is near, and lit as one, instead of as blocks.
+    pub smooth: bool,
     /// Whether pixels of sky show it; else they are transparent.
     pub sky: bool,
     /// What may be left out where the frame does not need it; the picture is the same.
@@ -134,6 +150,9 @@ impl Default for Options {
             ssao_samples: SSAO_SAMPLES,
             fog: None,
             sun: None,
+            shadows: false,
+            normals: Normals::Screen,
+            smooth: false,
             sky: true,
             specialize: Features::ALL,
         }
@@ -143,9 +162,9 @@ impl Default for Options {
 impl Options {
     /// The shading, with normals where a sun needs them.
     pub fn lit(&self) -> Shading {
-        match (self.sun, self.shading) {
-            (Some(_), Shading::None) => Shading::Ssn,
-            (Some(_), Shading::Ssao) => Shading::Full,
+        match (self.sun.is_some() || self.shadows, self.shading) {
+            (true, Shading::None) => Shading::Ssn,
+            (true, Shading::Ssao) => Shading::Full,
             (_, shading) => shading,
         }
     }
@@ -188,6 +207,9 @@ impl Options {
         add(o.fog.is_some(), format!("--fog {}", o.fog.unwrap_or_default()));
         let [azimuth, elevation] = o.sun.unwrap_or_default();
         add(o.sun.is_some(), format!("--sun={azimuth},{elevation}"));
+        add(o.shadows, "--shadows on".into());
+        add(o.normals == Normals::Derived, "--normals derived".into());
+        add(o.smooth, "--smooth on".into());
         add(!o.sky, "--sky none".into());
         add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));
         flags.join(" ")

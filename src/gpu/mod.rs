@@ -11,8 +11,10 @@ pub mod shaders;
 pub mod types;
 
 use crate::clock::Instant;
-use crate::cpu::renderer::{Outputs, check, frame_stats, inside_solid};
+use crate::cpu::renderer::{Outputs, check, derives_normals, frame_stats, inside_solid};
 use crate::cpu::shade;
+use crate::cpu::shadow::Tops;
+use crate::cpu::smooth::{self, Ground};
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
@@ -124,6 +126,10 @@ pub struct GpuRenderer {
     free: Vec<wgpu::Buffer>,
     /// Frames whose memory later ones take.
     spare: Vec<Frame>,
+    /// Made and sent for the first frame with shadows.
+    tops: Option<Tops>,
+    /// The same of the first that is smooth, and along which axes its world repeats.
+    surface: Option<(Tops, [bool; 2])>,
     /// What was worked out for frames to come, in their order.
     prepared: VecDeque<Prepared>,
     /// Whether frames that are read back have depths.
@@ -323,6 +329,8 @@ impl GpuRenderer {
             pending,
             free,
             spare: Vec::new(),
+            tops: None,
+            surface: None,
             prepared: VecDeque::new(),
             depth: true,
             shown,
@@ -530,13 +538,20 @@ impl GpuRenderer {
             frame.stats.bytes_scene_gpu = self.tables.bytes;
             return Ok(Drawn::Inside(Box::new(frame)));
         }
-        let Prepared { setup, upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
+        let Prepared { setup, mut upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
             Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
             None => Prepared::new(&self.resident, camera, options),
         };
         self.check_steps(&setup, options)?;
-        let plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
+        let mut plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
+        plan.derived = derives_normals(&self.scene, options);
         self.reserve(&plan)?;
+        if plan.shadows {
+            self.shadows(&mut upload.frame)?;
+        }
+        if plan.smooth {
+            self.surface(&setup, &mut upload.frame)?;
+        }
         self.upload(&upload, camera, options.ssao_samples);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -627,6 +642,9 @@ struct Plan {
     stage_times: bool,
     shading: Shading,
     ssao_samples: u32,
+    shadows: bool,
+    smooth: bool,
+    derived: bool,
     specialization: Specialization,
 }
 
@@ -667,8 +685,13 @@ impl Plan {
             stage_times: gpu.stage_times,
             shading: options.lit(),
             ssao_samples: options.ssao_samples,
+            shadows: options.shadows,
+            smooth: false,
+            derived: false,
             specialization: Specialization::new(resident, setup, camera, options, Twin::Gpu),
         };
+        // The surface is that of heights.
+        plan.smooth = options.smooth && plan.specialization.has(Feature::Heights);
         match gpu.kernel {
             Kernel::Invocation => {
                 plan.words = longest.div_ceil(32);
@@ -797,6 +820,53 @@ impl GpuRenderer {
             })?;
             self.buffers.insert(name, buffer);
         }
+        Ok(())
+    }
+
+    /// Sends what walks towards the sun need, once, and tells the frame of it.
+    fn shadows(&mut self, frame: &mut FrameParams) -> Result<()> {
+        if self.tops.is_none() {
+            let tops = Tops::new(&self.resident);
+            self.send("tops", &tops.words())?;
+            self.tops = Some(tops);
+        }
+        if let Some(tops) = &self.tops {
+            (frame.top_levels, frame.world_top) = (tops.levels.len() as u32, tops.top as f32);
+        }
+        Ok(())
+    }
+
+    /// The same of the surface of a height field.
+    fn surface(&mut self, setup: &Setup, frame: &mut FrameParams) -> Result<()> {
+        let repeats = setup.repeats;
+        if self.surface.as_ref().is_none_or(|(_, known)| *known != repeats)
+            && let Some(tops) = Tops::over_surface(&self.resident, repeats)
+        {
+            self.send("surface_tops", &tops.words())?;
+            let fractions: Vec<u32> = self
+                .resident
+                .fractions
+                .chunks(4)
+                .map(|four| four.iter().zip([0, 8, 16, 24]).map(|(&f, shift)| u32::from(f) << shift).sum())
+                .collect();
+            self.send("fractions", &fractions)?;
+            self.surface = Some((tops, repeats));
+        }
+        let below = Ground::new(&self.resident, repeats).is_none_or(|ground| smooth::is_below(ground, setup));
+        if let Some((tops, _)) = &self.surface
+            && !below
+        {
+            (frame.surface_levels, frame.surface_top) = (tops.levels.len() as u32, tops.top as f32);
+        }
+        Ok(())
+    }
+
+    /// Makes a buffer of the scene's that only some frames need.
+    fn send(&mut self, name: &'static str, words: &[u32]) -> Result<()> {
+        let size = (4 * words.len() as u64).max(64);
+        let buffer = self.engine.checked(name, || self.engine.buffer(name, size, wgpu::BufferUsages::STORAGE))?;
+        self.engine.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(words));
+        self.buffers.insert(name, buffer);
         Ok(())
     }
 
@@ -931,8 +1001,9 @@ impl GpuRenderer {
     fn remap(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
+        let surface = self.smooth(plan)?;
         if plan.kernel == Kernel::Raycast {
-            self.record(recorder, "remap", 1, |_| ());
+            self.record(recorder, "remap", 1, |pass| surface.iter().for_each(|s| self.dispatch(pass, s, &[], grid)));
             return Ok(());
         }
         if !plan.gathers() {
@@ -952,9 +1023,7 @@ impl GpuRenderer {
             };
             self.record(recorder, "remap", 1, |pass| {
                 self.dispatch(pass, &pipeline, &[], grid);
-                if let Some(refine) = refine {
-                    self.dispatch(pass, &refine, &[], grid);
-                }
+                refine.iter().chain(&surface).for_each(|stage| self.dispatch(pass, stage, &[], grid));
             });
             return Ok(());
         }
@@ -968,8 +1037,23 @@ impl GpuRenderer {
             }
             let chosen = if plan.gap_fill { "filled" } else { "index" };
             self.dispatch(pass, &gather, &[("index", chosen)], grid);
+            surface.iter().for_each(|stage| self.dispatch(pass, stage, &[], grid));
         });
         Ok(())
+    }
+
+    /// What draws the surface of a height field over its blocks, where that is asked for.
+    fn smooth(&mut self, plan: &Plan) -> Result<Option<Arc<Pipeline>>> {
+        if !plan.smooth {
+            return Ok(None);
+        }
+        let on = |b: bool| f64::from(u8::from(b));
+        let mut defines = vec!["HEIGHTS"];
+        defines.extend((!self.resident.fractions.is_empty()).then_some("FRACTIONS"));
+        let repeats = on(!plan.specialization.has(Feature::Bounded));
+        let constants =
+            [("VOXEL", on(plan.image_voxel)), ("PAINT", f64::from(self.tables.paint)), ("REPEATS", repeats)];
+        self.engine.pipeline("smooth", &self.variant(&defines), &constants).map(Some)
     }
 
     fn shade(&mut self, recorder: &mut Recorder, plan: &Plan, order: ByteOrder) -> Result<()> {
@@ -978,9 +1062,25 @@ impl GpuRenderer {
         let on = |b: bool| f64::from(u8::from(b));
         let bgra = on(order == ByteOrder::Bgra);
         let samples = f64::from(plan.ssao_samples);
-        let constants =
-            [("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
-        let pipeline = self.engine.pipeline("shade", &self.variant(&[]), &constants)?;
+        let mut constants =
+            vec![("NORMALS", on(normals)), ("OCCLUSION", on(occlusion)), ("SSAO_SAMPLES", samples), ("BGRA", bgra)];
+        let mut defines = Vec::new();
+        if plan.shadows || plan.smooth || plan.derived {
+            defines.push("SCENE");
+            defines.extend(plan.specialization.has(Feature::Heights).then_some("HEIGHTS"));
+            constants.push(("REPEATS", on(!plan.specialization.has(Feature::Bounded))));
+        }
+        if plan.shadows {
+            defines.push("SHADOWS");
+            constants.push(("SMOOTH", on(plan.smooth)));
+        }
+        if plan.smooth {
+            defines.push("SMOOTH_NORMALS");
+            defines.extend((!self.resident.fractions.is_empty()).then_some("FRACTIONS"));
+        } else if plan.derived {
+            defines.push("DERIVED_NORMALS");
+        }
+        let pipeline = self.engine.pipeline("shade", &self.variant(&defines), &constants)?;
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         self.record(recorder, "shade", 2, |pass| self.dispatch(pass, &pipeline, &[], grid));
         self.shaded_order = order;

@@ -5,7 +5,7 @@
 //! its name that reads one element. Constants have their home in Rust and are written in front of every shader.
 
 use crate::cpu::remap::HOLE;
-use crate::cpu::{refine, shade};
+use crate::cpu::{normal, refine, shade, shadow, smooth};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
 use crate::world::tables::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
@@ -26,6 +26,9 @@ const FILES: &[(&str, &str)] = files![
     "shared/place.wgsl",
     "shared/sample.wgsl",
     "shared/ray.wgsl",
+    "shared/shadow.wgsl",
+    "shared/ground.wgsl",
+    "shared/normal.wgsl",
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
@@ -33,6 +36,7 @@ const FILES: &[(&str, &str)] = files![
     "refine.wgsl",
     "gap_fill.wgsl",
     "shade.wgsl",
+    "smooth.wgsl",
 ];
 
 /// The first binding of the scene's tables; those below are the shaders' own.
@@ -82,6 +86,18 @@ fn header() -> String {
     constant("FARTHEST", format!("{:?}f", refine::FARTHEST));
     constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
     constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));
+    constant("SHADOW_STEPS", format!("{}u", shadow::STEPS));
+    constant("SHADOW_BIAS", format!("{:?}f", shadow::BIAS));
+    constant("SHADOW_BIAS_BLOCKS", format!("{:?}f", shadow::BIAS_BLOCKS));
+    constant("SHADOW_PAST", format!("{:?}f", shadow::PAST[0]));
+    constant("SHADOW_PAST_SHARE", format!("{:?}f", shadow::PAST[1]));
+    constant("NORMAL_INTO", format!("{:?}f", normal::INTO));
+    constant("NORMAL_REACH_SQUARE", format!("{}i", (normal::REACH * normal::REACH) as i32));
+    constant("HORIZON_CLEARS", format!("{:?}f", shade::HORIZON_CLEARS));
+    constant("FADE_BEGINS", format!("{:?}f", shade::FADE_BEGINS));
+    constant("SMOOTH_FIRST", format!("{}u", smooth::FIRST));
+    constant("SMOOTH_SQUARE_SHIFT", format!("{}u", smooth::SQUARE_SHIFT));
+    constant("SMOOTH_STEPS", format!("{}u", smooth::STEPS));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
     constant("SKY_ZENITH", rgb(shade::SKY_ZENITH));
@@ -198,6 +214,10 @@ mod tests {
                         &["RETEST", "REFINE"],
                         &["RETEST", "REFINE", "PACKED", "LATE_COLOR"],
                         &["INDEX"],
+                        &["SCENE", "SHADOWS"],
+                        &["SCENE", "DERIVED_NORMALS"],
+                        &["SCENE", "SHADOWS", "SMOOTH_NORMALS"],
+                        &["SCENE", "SMOOTH_NORMALS", "FRACTIONS"],
                         &["GATHER"],
                     ] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
@@ -208,13 +228,19 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 7] =
-        ["traverse_invocation", "traverse_workgroup", "raycast", "remap", "refine", "gap_fill", "shade"];
+    const STAGES: [&str; 8] =
+        ["traverse_invocation", "traverse_workgroup", "raycast", "remap", "refine", "gap_fill", "shade", "smooth"];
 
     #[test]
     fn shaders_are_valid_in_every_variant() {
         for variant in variants() {
             for stage in STAGES {
+                // The surface is that of heights.
+                if !variant.defines.contains(&"HEIGHTS")
+                    && (stage == "smooth" || variant.defines.contains(&"SMOOTH_NORMALS"))
+                {
+                    continue;
+                }
                 let source = assemble(stage, &variant);
                 if let Err(e) = parse(&source) {
                     panic!("{stage} {variant:?}\n{e}");
@@ -346,7 +372,19 @@ mod tests {
                     fog,
                     ambient,
                     sky,
-                    view_distance
+                    view_distance,
+                    axis_right,
+                    size,
+                    axis_up,
+                    top_levels,
+                    axis_forward,
+                    world_top,
+                    sun_world,
+                    shadow_end,
+                    surface_levels,
+                    surface_top,
+                    smooth_near,
+                    _pad0
                 }),
             ),
         ]

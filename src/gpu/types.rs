@@ -2,6 +2,7 @@
 
 use crate::cpu::remap::Row;
 use crate::cpu::shade::ShadeParams;
+use crate::cpu::{shadow, smooth};
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::plane_setup::{AT_ONCE, DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
@@ -109,6 +110,18 @@ pub struct FrameParams {
     pub ambient: f32,
     pub sky: u32,
     pub view_distance: f32,
+    pub axis_right: [f32; 3],
+    pub size: f32,
+    pub axis_up: [f32; 3],
+    pub top_levels: u32,
+    pub axis_forward: [f32; 3],
+    pub world_top: f32,
+    pub sun_world: [f32; 3],
+    pub shadow_end: f32,
+    pub surface_levels: u32,
+    pub surface_top: f32,
+    pub smooth_near: f32,
+    pub _pad0: u32,
 }
 
 /// A plane number (or a place on the far edge) as a linear function along a row or a column of pixels, in 32.32 fixed
@@ -345,6 +358,19 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
         ambient: shade.ambient,
         sky: u32::from(shade.sky),
         view_distance: setup.view_distance.min(VIEW_LIMIT) as f32,
+        axis_right: shade.axes[0].to_array(),
+        size: shade.size,
+        axis_up: shade.axes[1].to_array(),
+        axis_forward: shade.axes[2].to_array(),
+        sun_world: shade.sun_world.to_array(),
+        shadow_end: shadow::end(setup, shade.sun_world),
+        smooth_near: smooth::near(camera),
+        // Where there are shadows or a surface, they are known when the frame is sent.
+        top_levels: 0,
+        world_top: 0.0,
+        surface_levels: 0,
+        surface_top: 0.0,
+        _pad0: 0,
     }
 }
 

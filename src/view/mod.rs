@@ -67,6 +67,8 @@ pub struct Settings {
     pub device: Device,
     pub kernel: Option<String>,
     pub options: Options,
+    /// Whether height fields are drawn as a surface; `None`: those that stand for one.
+    pub smooth: Option<bool>,
     /// The window, pixels.
     pub size: [u32; 2],
     pub full_screen: bool,

@@ -373,6 +373,8 @@ impl Panel {
                 ui.add(egui::Slider::new(px, 0.25..=16.0).logarithmic(true).suffix(" px"));
             }
         });
+        ui.checkbox(&mut o.shadows, "shadows of the sun");
+        ui.checkbox(&mut o.smooth, "heights as a surface");
         egui::ComboBox::from_label("shading").selected_text(shading_name(o.shading)).show_ui(ui, |ui| {
             for shading in [Shading::None, Shading::Ssn, Shading::Ssao, Shading::Full] {
                 ui.selectable_value(&mut o.shading, shading, shading_name(shading));

@@ -484,6 +484,7 @@ impl App {
         if let Some(Ok(list)) = last::recent_file().map(|file| last::opened(&file, &world.path)) {
             self.recent = list;
         }
+        self.options.smooth = self.settings.smooth.unwrap_or(world.smooth);
         self.world = Some(Arc::new(world));
         self.make_drawer()?;
         self.watch();

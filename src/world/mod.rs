@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use planecast_encoder::encode::memory;
 use planecast_encoder::inspect::info::{self, ByteCounts};
+use planecast_encoder::model::about::Kind;
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{About, Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
 
@@ -28,6 +29,8 @@ pub struct World {
     pub path: PathBuf,
     /// Whether that was an input that had to be encoded.
     pub encoded: bool,
+    /// Whether it is a height field that stands for a surface, and is best drawn as one ([`crate::Options::smooth`]).
+    pub smooth: bool,
     pub scene: Arc<Scene>,
     pub resident: Arc<Resident>,
     /// As `info` has it.
@@ -80,19 +83,13 @@ impl World {
         } else {
             (file.read_scene()?, Some(info?))
         };
-        let resident = Arc::new(Resident::try_with(&scene, specialize)?);
+        let about = file.about().clone();
+        let resident = Arc::new(Resident::try_with(&scene, specialize)?.with_fractions(&about.fractions));
+        let smooth = resident.heights && is_surface(&about, encoded);
         let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
-        let (about, notes) = (file.about().clone(), Vec::new());
-        Ok(World {
-            path: path.to_owned(),
-            encoded,
-            scene: Arc::new(scene),
-            resident,
-            content_hash,
-            bytes,
-            about,
-            notes,
-        })
+        let scene = Arc::new(scene);
+        let (path, notes) = (path.to_owned(), Vec::new());
+        Ok(World { path, encoded, smooth, scene, resident, content_hash, bytes, about, notes })
     }
 
     /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
@@ -109,8 +106,8 @@ impl World {
         let scene = planecast_encoder::build(input, &Default::default())?;
         let resident = Arc::new(Resident::try_with(&scene, Features::ALL)?);
         let (content_hash, bytes, about, notes) = Default::default();
-        let scene = Arc::new(scene);
-        Ok(World { path: name.to_owned(), encoded: true, scene, resident, content_hash, bytes, about, notes })
+        let (path, scene) = (name.to_owned(), Arc::new(scene));
+        Ok(World { path, encoded: true, smooth: false, scene, resident, content_hash, bytes, about, notes })
     }
 
     /// A height field from memory: `heights[z · nx + x]` voxels from the ground up, 0 for an empty column.
@@ -205,6 +202,11 @@ impl World {
     pub fn scene_file(&self) -> PathBuf {
         if self.encoded { PathBuf::from(self.name()).with_extension("pcast") } else { self.path.clone() }
     }
+}
+
+/// Whether a world stands for a surface: a map of heights that was opened to be looked at, or one that was encoded with fractions.
+pub(crate) fn is_surface(about: &About, encoded: bool) -> bool {
+    !about.fractions.is_empty() || (encoded && about.kind == Some(Kind::Terrain))
 }
 
 /// That `n` values fill these sides, none of them 0.

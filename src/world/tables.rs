@@ -89,6 +89,9 @@ pub struct Resident {
     pub levels: Vec<ResidentLevel>,
     /// Whether all levels have heights instead of runs.
     pub heights: bool,
+    /// By how much the surface that level 0 stands for is higher than its columns, in 256ths of a voxel, 128 more; empty where that
+    /// is not known.
+    pub fractions: Vec<u8>,
 }
 
 /// Packs a colour for the kernels: r in the low byte, alpha 255.
@@ -116,7 +119,14 @@ impl Resident {
             && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
         let levels = scene.levels.iter().map(|level| resident_level(level, scene, heights));
         let levels = levels.collect::<Result<_>>()?;
-        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights })
+        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new() })
+    }
+
+    /// The same with what is known of the surface that a height field stands for.
+    pub fn with_fractions(self, fractions: &[u8]) -> Resident {
+        let columns = self.levels.first().map_or(0, |level| level.nx as usize * level.nz as usize);
+        let fits = self.heights && fractions.len() == columns;
+        Resident { fractions: if fits { fractions.to_vec() } else { Vec::new() }, ..self }
     }
 
     /// Bytes that the tables take.
@@ -134,7 +144,7 @@ impl Resident {
             };
             (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
         };
-        self.levels.iter().map(level).sum()
+        self.levels.iter().map(level).sum::<u64>() + self.fractions.len() as u64
     }
 }
 

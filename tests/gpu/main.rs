@@ -16,8 +16,8 @@ use planecast::frame::plane_setup::plane_setup;
 use planecast::gpu::Begin;
 use planecast::render::device::{Device, Renderer};
 use planecast::{
-    Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap,
-    Repeat, Resident, Shading,
+    Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Normals, Options, Outputs, Planes,
+    Remap, Repeat, Resident, Shading,
 };
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
@@ -130,6 +130,19 @@ fn planes_kernels_draw_what_the_cpu_draws() {
             ("shaded", Options::default()),
             ("few occlusion samples", Options { ssao_samples: 4, ..Options::default() }),
             ("fog", Options { fog: Some(200.0), ..Options::default() }),
+            ("fog where the view ends", Options { fog: Some(90.0), view_distance: 100.0, ..Options::default() }),
+            ("shadows", Options { sun: Some([300.0, 25.0]), shadows: true, ..Options::default() }),
+            ("derived normals", Options { normals: Normals::Derived, ..Options::default() }),
+            (
+                "shadows without end, derived normals",
+                Options {
+                    shadows: true,
+                    normals: Normals::Derived,
+                    repeat: Repeat { x: true, z: true },
+                    view_distance: 2000.0,
+                    ..Options::default()
+                },
+            ),
         ] {
             against_cpu(&world, gpu_options(kernel), &options, |camera, drawn, expected| {
                 agrees(&format!("{} {name}", kernel.name()), camera, &compare(&drawn, &expected));
@@ -337,6 +350,29 @@ fn remap_of_the_same_planes_takes_the_same_samples() {
 }
 
 #[test]
+fn surfaces_of_heights_are_those_of_the_cpu() {
+    if !gpu_wanted() {
+        return;
+    }
+    let mut world = world(Kind::Terrain, 128, Encoding::Solid, ColorMode::Voxel);
+    assert!(world.resident.heights);
+    for fractions in [false, true] {
+        if fractions {
+            let n = 128 * 128;
+            let fractions: Vec<u8> = (0..n).map(|i| common::hash(9, [i as i32, 0, 0]) as u8).collect();
+            world.resident = Arc::new(Resident::new(&world.scene).with_fractions(&fractions));
+        }
+        for (repeat, shadows) in [(false, false), (true, true)] {
+            let repeat = Repeat { x: repeat, z: repeat };
+            let options = Options { smooth: true, shadows, repeat, view_distance: 600.0, ..Options::default() };
+            against_cpu(&world, gpu_options(Kernel::Workgroup), &options, |camera, drawn, expected| {
+                agrees(&format!("surface, fractions {fractions}"), camera, &compare(&drawn, &expected));
+            });
+        }
+    }
+}
+
+#[test]
 fn shade_of_the_same_image_gives_the_same_colours() {
     if !gpu_wanted() {
         return;
@@ -353,7 +389,7 @@ fn shade_of_the_same_image_gives_the_same_colours() {
                 let color: Vec<u32> = image.color.iter().map(|&c| u32::from_le_bytes(c)).collect();
                 let mut expected = image.clone();
                 let params = ShadeParams::new(&camera, &options);
-                shade(&params, &color, &image.depth, &mut Scratch::default(), &mut expected.color);
+                shade(&params, &color, &image.depth, &Default::default(), &mut Scratch::default(), &mut expected.color);
                 let begin = Begin::Image { color: &color, depth: &image.depth };
                 let drawn = gpu.render_from(begin, &camera, &options, Outputs::default()).unwrap();
                 let off: Vec<u8> = drawn

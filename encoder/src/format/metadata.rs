@@ -9,6 +9,9 @@ use crate::format::ALIGN;
 /// Tag of the section that holds an [`About`].
 const ABOUT: [u8; 4] = *b"ABUT";
 
+/// Tag of the section that holds [`About::fractions`].
+const FRACTIONS: [u8; 4] = *b"FRAC";
+
 /// Bytes of an [`About`] at most: it is text for people.
 const MAX_ABOUT: usize = 1 << 20;
 
@@ -30,16 +33,23 @@ pub fn pack(about: &About) -> Vec<u8> {
     about.voxel = about.voxel.filter(|v| finite(v));
     about.values = about.values.filter(|v| finite(v));
     about.affine = about.affine.filter(|rows| finite(rows.as_flattened()));
-    if about == About::default() {
-        return Vec::new();
+    let mut bytes = Vec::new();
+    let mut section = |tag: [u8; 4], content: &[u8]| {
+        let Ok(len) = u32::try_from(content.len()) else { return };
+        bytes.extend_from_slice(bytes_of(&ChunkHeader { tag, len, checksum: xxh3_64(content) }));
+        bytes.extend_from_slice(content);
+        bytes.resize(bytes.len().next_multiple_of(ALIGN as usize), 0);
+    };
+    let fractions = std::mem::take(&mut about.fractions);
+    if about != About::default() {
+        let text = serde_json::to_vec(&about).expect("plain values have a JSON form");
+        if text.len() <= MAX_ABOUT {
+            section(ABOUT, &text);
+        }
     }
-    let text = serde_json::to_vec(&about).expect("plain values have a JSON form");
-    if text.len() > MAX_ABOUT {
-        return Vec::new();
+    if !fractions.is_empty() {
+        section(FRACTIONS, &fractions);
     }
-    let header = ChunkHeader { tag: ABOUT, len: text.len() as u32, checksum: xxh3_64(&text) };
-    let mut bytes = [bytes_of(&header), &text].concat();
-    bytes.resize(bytes.len().next_multiple_of(ALIGN as usize), 0);
     bytes
 }
 
@@ -57,8 +67,13 @@ pub fn unpack(bytes: &[u8]) -> Result<About, (usize, String)> {
             return Err((at, "a section does not match its checksum; the file is damaged".to_owned()));
         }
         if header.tag == ABOUT {
+            let fractions = std::mem::take(&mut about.fractions);
             about = serde_json::from_slice(content).map_err(|e| (from, format!("says what it is not as JSON: {e}")))?;
             about.clean();
+            about.fractions = fractions;
+        }
+        if header.tag == FRACTIONS {
+            about.fractions = content.into();
         }
         let next = end.next_multiple_of(ALIGN as usize);
         if bytes.get(end..next).is_none_or(|fill| fill.iter().any(|b| *b != 0)) {
@@ -94,6 +109,14 @@ mod tests {
         assert_eq!(unpack(&[]), Ok(About::default()));
         let endless = About { values: Some([0.0, f64::INFINITY]), ..about() };
         assert_eq!(unpack(&pack(&endless)), Ok(About { values: None, ..about() }));
+    }
+
+    #[test]
+    fn metadata_keeps_fractions_with_and_without_more() {
+        for about in [about(), About::default()] {
+            let about = About { fractions: vec![128, 0, 255, 7, 130].into(), ..about };
+            assert_eq!(unpack(&pack(&about)), Ok(about));
+        }
     }
 
     #[test]

@@ -60,6 +60,7 @@
 //! | tag | bytes |
 //! |---|---|
 //! | `ABUT` | [`About`](crate::About) as one JSON object in UTF-8, at most 1 MiB: what was encoded, and how it was read. Fields may be left out or be new |
+//! | `FRAC` | a byte for each column of level 0, by rows of x: of a height field, how far the surface that it stands for is above a column's top, in 256ths of a voxel, 128 more |
 //!
 //! # Blob
 //!

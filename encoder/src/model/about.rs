@@ -1,6 +1,7 @@
 //! What an input is and how its reader understood it: `encode` says it in a line or two, a scene keeps it, `info` shows it.
 
 use std::fmt;
+use std::sync::Arc;
 
 /// Kinds of things that inputs are pictures of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -48,6 +49,10 @@ pub struct About {
     pub rule: String,
     /// What the file holds and the world does not, and flags that were of no use: each a phrase.
     pub left_out: Vec<String>,
+    /// Of a height field, how far the surface that it stands for is above each column's top, in 256ths of a voxel, 128 more, by
+    /// rows of x; empty where that is not known.
+    #[serde(skip)]
+    pub fractions: Arc<[u8]>,
 }
 
 impl About {
@@ -58,7 +63,20 @@ impl About {
 
     /// Takes out what would not show as text: who made the file may have put commands for terminals there.
     pub(crate) fn clean(&mut self) {
-        let About { kind: _, source, format, axes, voxel: _, unit, crs, affine: _, values: _, rule, left_out } = self;
+        let About {
+            kind: _,
+            source,
+            format,
+            axes,
+            voxel: _,
+            unit,
+            crs,
+            affine: _,
+            values: _,
+            rule,
+            left_out,
+            fractions: _,
+        } = self;
         let texts = [source, format, axes, unit, crs, rule].into_iter().chain(left_out);
         texts.for_each(|text| text.retain(|c| !c.is_control()));
     }

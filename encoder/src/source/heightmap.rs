@@ -37,6 +37,9 @@ use crate::{About, ColumnsBuilder, Error, Result, Rgb, Run};
 /// worth asking memory for.
 const MAX_INFLATION: u64 = 1100;
 
+/// Columns whose heights have fractions, at most.
+const MAX_FRACTIONS: u64 = 1 << 28;
+
 /// Unit of a map's values.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Up {
@@ -241,6 +244,9 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
 
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
     let heights = Arc::new(heights);
+    if opts.show || opts.fractions {
+        about.fractions = fractions(&heights, base, scale)?;
+    }
     let ramp = opts.ramp.as_deref().or(opts.show.then_some("terrain")).filter(|_| opts.colors.is_none());
     let ramp = ramp.map(Ramp::find).transpose()?.flatten();
     let color = match (&opts.colors, ramp) {
@@ -270,6 +276,26 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         Ok(())
     };
     Ok(Rows { dims, row: Box::new(row), color, notes, about, input_bytes })
+}
+
+/// How far the heights are above the columns that stand for them: see [`About::fractions`]. Nothing where none is, or where a
+/// table of them would be too large for what it gives.
+fn fractions(heights: &Heights, base: f64, scale: f64) -> Result<Arc<[u8]>> {
+    let Heights { width, height, .. } = *heights;
+    if u64::from(width) * u64::from(height) > MAX_FRACTIONS {
+        return Ok(Arc::default());
+    }
+    let mut out = Vec::with_capacity(width as usize * height as usize);
+    let mut row = vec![0.0; width as usize];
+    for z in 0..height {
+        heights.row(0, z, &mut row)?;
+        out.extend(row.iter().map(|&v| {
+            let height = (f64::from(v) - base) * scale;
+            let above = ((height - height.round()) * 256.0).round() + 128.0;
+            if above.is_finite() { above.clamp(0.0, 255.0) as u8 } else { 128 }
+        }));
+    }
+    Ok(if out.iter().all(|f| *f == 128) { Arc::default() } else { out.into() })
 }
 
 /// A map with `size` columns along its longer side, as long and wide on the ground as it is.

@@ -180,6 +180,9 @@ pub struct ReadOptions {
     /// A person is to look at it: where no flag says otherwise, a height map takes colours, and relief that shows.
     #[arg(skip)]
     pub show: bool,
+    /// Keep fractions of a height map's heights too, a byte per column: for the surface that --smooth draws
+    #[arg(long)]
+    pub fractions: bool,
     /// Value of a height map that stands for no data [default: what the file says]
     #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
     pub nodata: Option<f64>,
