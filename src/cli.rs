@@ -29,8 +29,9 @@ use crate::device::{Device, Renderer};
 use crate::fly::{self, Film, Kind};
 use crate::options::SAMPLES_LIMIT;
 use crate::output::Picture;
-use crate::path::Path;
+use crate::path::{Path, Pose};
 use crate::preset::Preset;
+use crate::projection::Rays;
 #[cfg(feature = "report")]
 use crate::report;
 #[cfg(feature = "report")]
@@ -38,8 +39,8 @@ use crate::stability;
 use crate::tour::{self, View};
 use crate::video::{Encoder, padded, segment_frames};
 use crate::{
-    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Remap, Repeat, Resident, Result, Shading, demo,
-    help, output, pick, renderer, view,
+    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Projection, Remap, Repeat, Resident, Result, Shading,
+    cameras, demo, help, output, pick, renderer, scan, view, viewshed,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -82,6 +83,7 @@ pub enum Command {
     Render(RenderArgs),
     Fly(FlyArgs),
     Join(JoinArgs),
+    Viewshed(ViewshedArgs),
     View(ViewArgs),
     Pick(PickArgs),
     Demo(DemoArgs),
@@ -98,9 +100,14 @@ pub enum Command {
 pub struct RenderArgs {
     /// Scene file (.pcast), or an input that encode takes, or the URL of either
     scene: PathBuf,
-    /// Picture to write (.png, .jpg), or - for PNG on standard output
-    #[arg(short, long, value_name = "OUT.png|-")]
+    /// Picture to write (.png, .jpg), or - for PNG on standard output; of --projection lidar also .ply, .las or .npy; with --cameras
+    /// a folder
+    #[arg(short, long, value_name = "OUT.png|-|DIR")]
     output: PathBuf,
+    /// Draw a picture from each pose in this file (JSON: a list of {"eye": [x, y, z], "yaw", "pitch", "roll", "fov", "size":
+    /// [width, height]}) into the folder of -o: 000000.png and on
+    #[arg(long, value_name = "POSES.json", conflicts_with_all = ["eye", "yaw", "pitch", "look_at", "orbit", "fit", "top"])]
+    cameras: Option<PathBuf>,
     /// Where the camera is, voxels [default: a good view, found from the scene]
     #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
     eye: Option<DVec3>,
@@ -113,16 +120,17 @@ pub struct RenderArgs {
     /// Degrees
     #[arg(long, value_name = "D", value_parser = finite, default_value = "0")]
     roll: f64,
-    /// Picture's width and height, pixels
-    #[arg(long, value_name = "WxH", value_parser = size, default_value = "1280x720")]
-    size: [u32; 2],
+    /// Picture's width and height, pixels [default: 1280x720, or what the projection asks for]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
     #[command(flatten)]
     draw: DrawArgs,
-    /// Also write the depth of every pixel (NPY, f4, H x W)
-    #[arg(long, value_name = "D.npy")]
+    /// Also write the depth of every pixel (NPY, f4, H x W); with --cameras a folder [default there: that of -o], 000000.depth.npy and
+    /// on
+    #[arg(long, value_name = "D.npy|DIR", num_args = 0..=1, default_missing_value = "")]
     depth: Option<PathBuf>,
-    /// Also write the voxel of every pixel (NPY, i4, H x W x 4: x, y, z, level)
-    #[arg(long, value_name = "V.npy")]
+    /// Also write the voxel of every pixel (NPY, i4, H x W x 4: x, y, z, level); with --cameras as --depth, 000000.voxel.npy
+    #[arg(long, value_name = "V.npy|DIR", num_args = 0..=1, default_missing_value = "")]
     voxel: Option<PathBuf>,
     /// Also write what the frame cost (JSON)
     #[arg(long, value_name = "S.json")]
@@ -176,9 +184,9 @@ pub struct FlyArgs {
     /// Also write the path that is flown, as --path reads it
     #[arg(long, value_name = "P.json")]
     save_path: Option<PathBuf>,
-    /// Frames' width and height, pixels
-    #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x360")]
-    size: [u32; 2],
+    /// Frames' width and height, pixels [default: 640x360, or what the projection asks for]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
     #[command(flatten)]
     draw: DrawArgs,
     /// Also write what the last frame drawn cost (JSON)
@@ -343,12 +351,39 @@ pub struct ReportArgs {
     input: InputArgs,
 }
 
+/// Find which columns are seen from a place, or from how many of several places
+///
+/// A column is seen where any of its voxels' faces is. GeoTIFF and NPY have counts, one a column, rows along z; GeoTIFF has the
+/// georeference that the scene keeps of its source. PNG is white where all places see. A place inside something solid sees the
+/// column that it is in.
+#[derive(Debug, Args)]
+pub struct ViewshedArgs {
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
+    scene: PathBuf,
+    /// A place to see from, voxels; may be given again
+    #[arg(long, required = true, value_name = "X,Y,Z", value_parser = vector)]
+    eye: Vec<DVec3>,
+    /// File to write: .tif, .png or .npy
+    #[arg(short, long, value_name = "V.tif|V.png|V.npy")]
+    output: PathBuf,
+    /// Threads to work with [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    #[command(flatten)]
+    input: InputArgs,
+}
+
 /// How to draw, for pictures and films alike.
 #[derive(Debug, Args)]
 pub struct DrawArgs {
-    /// Vertical field of view, degrees
-    #[arg(long, value_name = "D", value_parser = fov, default_value = "60")]
-    fov: f64,
+    /// Vertical field of view, degrees; of fisheye all of its circle, of lidar from the highest beam to the lowest [default: 60, of
+    /// fisheye 180, of lidar 45]
+    #[arg(long, value_name = "D", value_parser = any_fov)]
+    fov: Option<f64>,
+    /// Which ray each pixel shows: perspective; ortho, HEIGHT voxels high; equirect, cube (3 x 2 faces), fisheye, and lidar, whose
+    /// depth is the distance along the ray
+    #[arg(long, value_name = "perspective|ortho[:HEIGHT]|equirect|cube|fisheye|lidar:CHANNELSxSTEPS", default_value = "perspective")]
+    projection: Projection,
     /// What draws; auto takes the GPU where one is usable, exact is one ray a pixel
     #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
     device: Device,
@@ -507,6 +542,11 @@ fn fov(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected above 0 and below 180 degrees".into()))
 }
 
+fn any_fov(s: &str) -> Result<f64, String> {
+    let allowed = |v: &f64| (0.0..=360.0).contains(v);
+    finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 0 to 360 degrees".into()))
+}
+
 fn fps(s: &str) -> Result<f64, String> {
     let allowed = |v: &f64| (1.0..=240.0).contains(v);
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 1 to 240".into()))
@@ -626,12 +666,42 @@ impl DrawArgs {
             sun: self.sun,
             sky: self.sky == SkyArg::Shown,
             specialize: self.specialize,
+            projection: self.projection,
         };
         self.preset.map_or(options, |preset| preset.options(options))
     }
 
     fn repeat(&self) -> Repeat {
         self.repeat.axes()
+    }
+
+    fn fov(&self) -> f64 {
+        self.fov.unwrap_or(self.projection.usual_fov())
+    }
+
+    fn size(&self, typed: Option<[u32; 2]>, usual: [u32; 2]) -> [u32; 2] {
+        typed.or_else(|| self.projection.usual_size()).unwrap_or(usual)
+    }
+
+    /// Whether directions alone make the picture, all round: a camera for it need not frame anything.
+    fn looks_round(&self) -> bool {
+        !matches!(self.projection, Projection::Perspective | Projection::Ortho { .. })
+    }
+
+    /// Whether projection, field of view and size go together, before any other work.
+    fn check_projection(&self, size: [u32; 2]) -> Result<()> {
+        if let (Some(fov), false) = (self.fov, self.projection.has_fov()) {
+            let name = self.projection.name();
+            return Err(Error::Argument(format!("--fov {fov}: {name} shows the whole sphere; leave it out")));
+        }
+        let camera = Camera { fov: self.fov(), width: size[0], height: size[1], ..Camera::default() };
+        self.projection.check(&camera)
+    }
+
+    /// The camera of a pose.
+    fn camera(&self, pose: Pose, size: [u32; 2]) -> Camera {
+        let fov = if self.looks_round() { self.fov() } else { pose.fov };
+        Camera { fov, ..pose.camera(size) }
     }
 
     /// A sky that is left out needs an output that has transparency.
@@ -644,7 +714,8 @@ impl DrawArgs {
     }
 
     fn view(&self, size: [u32; 2]) -> View {
-        View { fov: self.fov, size, repeat: self.repeat() }
+        let fov = if self.looks_round() { Projection::Perspective.usual_fov() } else { self.fov() };
+        View { fov, size, repeat: self.repeat() }
     }
 
     /// Settles what draws, and tells of it where that was left to the program. Before any other work.
@@ -706,29 +777,58 @@ fn check_outputs(inputs: &[Option<&PathBuf>], outputs: &[(&str, Option<&PathBuf>
 
 impl RenderArgs {
     fn run(&self) -> Result<()> {
+        if let Some(poses) = &self.cameras {
+            return self.run_many(poses);
+        }
         let begun = Instant::now();
-        let picture = Picture::of(&self.output)?;
+        let size = self.draw.size(self.size, [1280, 720]);
+        self.draw.check_projection(size)?;
+        let lidar = matches!(self.draw.projection, Projection::Lidar { .. });
+        let scan = scan::Kind::of(&self.output).filter(|_| lidar);
+        let picture = if scan.is_some() { Picture::Png } else { Picture::of(&self.output)? };
         self.draw.check_sky(picture == Picture::Png, &self.output)?;
+        for (flag, file) in [("--depth", &self.depth), ("--voxel", &self.voxel)] {
+            if file.as_ref().is_some_and(|file| file.as_os_str().is_empty()) {
+                return Err(Error::Argument(format!("{flag}: name the .npy file to write")));
+            }
+        }
+        let beams = scan.map(|_| scan::beams_file(&self.output));
         let outputs = [
             ("--output", named_file(&self.output)),
             ("--depth", self.depth.as_ref()),
             ("--voxel", self.voxel.as_ref()),
             ("--stats", self.stats.as_ref()),
+            ("the beams", beams.as_ref()),
         ];
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let scene = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        let file = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?.file;
+        let about = file.about().clone();
+        let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
+        drop(file);
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
-        let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
+        let mut pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
+        if self.draw.looks_round() && !self.aim.is_given() && self.pitch.is_none() {
+            // A good view looks down; a picture of all directions is upright.
+            pose.pitch = 0.0;
+        }
+        let camera = self.draw.camera(pose, size);
         let (scene, resident) = shared(scene, self.draw.specialize);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
 
         let mut files = Vec::new();
-        if let Some(path) = named_file(&self.output) {
-            files.push(output::write(path, |out| picture.write(out, &frame))?);
+        match (scan, named_file(&self.output)) {
+            (Some(kind), Some(path)) => {
+                let rays = Rays::new(&camera, options.projection, scene.dims());
+                let bytes = scan::write(kind, &frame, &rays, &about)?;
+                files.push(output::write(path, |out| out.write_all(&bytes))?);
+                files.push(output::write(&scan::beams_file(path), |out| scan::beams(out, &camera, options.projection))?);
+            }
+            (_, Some(path)) => files.push(output::write(path, |out| picture.write(out, &frame))?),
+            _ => {}
         }
         if let Some(path) = &self.depth {
             files.push(output::write(path, |out| output::npy_depth(out, &frame))?);
@@ -744,8 +844,12 @@ impl RenderArgs {
         }
         match named_file(&self.output) {
             Some(path) => {
-                let [width, height] = self.size;
-                Made::new(None, path).tell(begun, &format!("{width} x {height} pixels"));
+                let [width, height] = size;
+                let what = match scan {
+                    Some(_) => format!("{} points", frame.depth.iter().filter(|d| d.is_finite()).count()),
+                    None => format!("{width} x {height} pixels"),
+                };
+                Made::new(None, path).tell(begun, &what);
             }
             None => {
                 let mut bytes = Vec::new();
@@ -763,15 +867,111 @@ impl RenderArgs {
         }
         Ok(())
     }
+
+    /// A picture from each pose of a file.
+    fn run_many(&self, poses: &PathBuf) -> Result<()> {
+        let begun = Instant::now();
+        let size = self.draw.size(self.size, [1280, 720]);
+        self.draw.check_projection(size)?;
+        if self.output.as_os_str() == output::STDOUT {
+            return Err(Error::Argument("-o -: --cameras makes many pictures; name a folder".into()));
+        }
+        let stats_file = self.stats.as_ref();
+        check_outputs(&[Some(&self.scene), Some(poses)], &[("--stats", stats_file)])?;
+        let options = self.draw.options();
+        let usual = Camera { fov: self.draw.fov(), width: size[0], height: size[1], ..Camera::default() };
+        let cameras = cameras::read(poses, &usual)?;
+        for (i, camera) in cameras.iter().enumerate() {
+            let wrong = |what: String| Error::from(FileError::format(poses, format!("pose {i}: {what}")));
+            renderer::check(camera, &options).map_err(|e| wrong(e.to_string()))?;
+            if u64::from(camera.width) * u64::from(camera.height) > PIXELS {
+                return Err(wrong(format!("{} x {} pixels: at most {PIXELS} in all", camera.width, camera.height)));
+            }
+        }
+        let folder = |given: &Option<PathBuf>| {
+            given.as_ref().map(|dir| if dir.as_os_str().is_empty() { self.output.clone() } else { dir.clone() })
+        };
+        let (depth, voxel) = (folder(&self.depth), folder(&self.voxel));
+        for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
+            if dir.exists() && !dir.is_dir() {
+                let what = "is a file; --cameras writes into a folder";
+                return Err(FileError::format(dir, what).into());
+            }
+        }
+        self.draw.set_threads()?;
+        let scene = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
+            std::fs::create_dir_all(dir).map_err(|e| FileError::io(dir, "make", e))?;
+        }
+        let (scene, resident) = shared(scene, self.draw.specialize);
+        let mut renderer = self.draw.renderer(&scene, &resident)?;
+        renderer.set_depth(depth.is_some());
+        renderer.set_count(stats_file.is_some());
+        let outputs = Outputs { voxel: voxel.is_some() };
+        let stats = std::sync::Mutex::new(vec![None; if stats_file.is_some() { cameras.len() } else { 0 }]);
+        renderer.draw_each(&cameras, &options, outputs, &|i, frame| {
+            let name = |dir: &PathBuf, ending: &str| dir.join(format!("{i:06}.{ending}"));
+            let mut files = vec![output::write_one_of_many(&name(&self.output, "png"), |out| output::png(out, &frame))?];
+            if let Some(dir) = &depth {
+                files.push(output::write_one_of_many(&name(dir, "depth.npy"), |out| output::npy_depth(out, &frame))?);
+            }
+            if let Some(dir) = &voxel {
+                files.push(output::write_one_of_many(&name(dir, "voxel.npy"), |out| output::npy_voxel(out, &frame))?);
+            }
+            for file in files {
+                file.finish()?;
+            }
+            if let Some(stats) = stats.lock().expect("no holder panics").get_mut(i) {
+                *stats = Some(frame.stats.clone());
+            }
+            Ok(Some(frame))
+        })?;
+        if let Some(file) = stats_file {
+            let stats = stats.into_inner().expect("no holder panics");
+            output::write(file, |out| output::json(out, &stats))?.finish()?;
+        }
+        Made::new(None, &self.output).tell(begun, &format!("{} pictures", cameras.len()));
+        Ok(())
+    }
+}
+
+impl ViewshedArgs {
+    fn run(&self) -> Result<()> {
+        let begun = Instant::now();
+        let kind = viewshed::Kind::of(&self.output)?;
+        check_outputs(&[Some(&self.scene)], &[("--output", Some(&self.output))])?;
+        set_threads(self.threads)?;
+        let file = planecast_encoder::cli::open(&self.scene, &self.input.read)?.file;
+        let about = file.about().clone();
+        let scene = planecast_encoder::cli::read_scene(&file, false)?;
+        drop(file);
+        let resident = Resident::new(&scene);
+        drop(scene);
+        let seen = viewshed::viewshed(&resident, &self.eye)?;
+        for &i in &seen.inside {
+            note!("--eye {:?} is inside something solid: it sees its own column", self.eye[i].to_array());
+        }
+        if kind == viewshed::Kind::Tiff && about.affine.is_none() {
+            note!("the scene keeps no georeference of its source: pixels of {} are columns", self.output.display());
+        }
+        output::write(&self.output, |out| seen.write(kind, out, &about))?.finish()?;
+        let all = seen.counts.len();
+        let share = seen.seen() as f64 / all as f64 * 100.0;
+        let what = format!("{share:.1} % of {all} columns seen from {} places", self.eye.len());
+        Made::new(None, &self.output).tell(begun, &what);
+        Ok(())
+    }
 }
 
 impl FlyArgs {
     fn run(&self) -> Result<()> {
         let begun = Instant::now();
         let kind = Kind::of(&self.output, self.encoder.as_ref())?;
+        let size = self.draw.size(self.size, [640, 360]);
+        self.draw.check_projection(size)?;
         self.draw.check_sky(matches!(kind, Kind::Folder), &self.output)?;
         if !self.plan {
-            kind.check(self.size, self.fps)?;
+            kind.check(size, self.fps)?;
         }
         let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
         if !matches!(kind, Kind::Folder | Kind::Stdout) {
@@ -780,7 +980,7 @@ impl FlyArgs {
         check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
+        let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov.filter(|_| !self.draw.looks_round()).unwrap_or(60.0))).transpose()?;
         if self.aim.is_given() && (self.path.is_some() || self.tour) {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
@@ -789,7 +989,7 @@ impl FlyArgs {
         let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
-        let view = self.draw.view(self.size);
+        let view = self.draw.view(size);
         let given = given.or_else(|| self.aim.path(&scene, view));
         let path = given.unwrap_or_else(|| tour::tour(&scene, view));
         if let Some(file) = &self.save_path {
@@ -801,22 +1001,22 @@ impl FlyArgs {
         if self.plan {
             return print(&format!(
                 "{}\n",
-                json!({"frames": frames, "segment": segment_frames(self.size[0], self.size[1])})
+                json!({"frames": frames, "segment": segment_frames(size[0], size[1])})
             ));
         }
         if range.end > frames {
             let std::ops::Range { start, end } = range;
             return Err(Error::Argument(format!("--frames {start}..{end}: the film has frames 0..{frames}")));
         }
-        let [width, height] = self.size;
-        if kind.is_yuv() && self.size.map(padded) != self.size.map(|v| v as usize) {
-            let [w, h] = self.size.map(padded);
+        let [width, height] = size;
+        if kind.is_yuv() && size.map(padded) != size.map(|v| v as usize) {
+            let [w, h] = size.map(padded);
             tell(&format!(
                 "film of {width} x {height} pixels is written as {w} x {h}, its last column and row repeated: 4:2:0 takes even sizes of \
                  at least 16; use --size {w}x{h} to draw them"
             ));
         }
-        let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| p.camera(self.size)).collect();
+        let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| self.draw.camera(*p, size)).collect();
         for camera in &cameras {
             renderer::check(camera, &options).map_err(|e| match (e, &self.path) {
                 (Error::Argument(what), Some(file)) => FileError::format(file, what).into(),
@@ -828,7 +1028,12 @@ impl FlyArgs {
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
         renderer.set_depth(false);
+        let spherical = self.draw.projection == Projection::Equirect;
+        if spherical && size[0] != 2 * size[1] {
+            tell("players show a film of the whole sphere as twice as wide as high; --size 3840x1920 is");
+        }
         let film = Film {
+            spherical,
             output: &self.output,
             kind,
             cameras: &cameras,
@@ -861,7 +1066,7 @@ impl FlyArgs {
             )));
         }
         if let Some(path) = named_file(&self.output) {
-            let [width, height] = self.size;
+            let [width, height] = size;
             Made::new(None, path).tell(begun, &format!("{} frames of {width} x {height} pixels", outcome.frames));
         }
         Ok(())
@@ -883,6 +1088,11 @@ impl JoinArgs {
 
 impl ViewArgs {
     fn run(&self) -> Result<()> {
+        if self.draw.projection != Projection::Perspective {
+            let name = self.draw.projection;
+            return Err(Error::Argument(format!("--projection {name}: a window shows perspective; use render or fly")));
+        }
+        self.draw.check_projection(self.window)?;
         self.draw.set_threads()?;
         view::view(view::Settings {
             input: self.input.clone(),
@@ -896,7 +1106,7 @@ impl ViewArgs {
             pitch: self.pitch,
             roll: self.roll,
             aim: self.aim,
-            fov: self.draw.fov,
+            fov: self.draw.fov(),
             device: self.draw.device,
             kernel: self.draw.kernel.clone(),
             options: self.draw.options(),
@@ -1058,6 +1268,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Render(args) => args.run(),
         Command::Fly(args) => args.run(),
         Command::Join(args) => args.run(),
+        Command::Viewshed(args) => args.run(),
         Command::View(args) => args.run(),
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),

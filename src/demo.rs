@@ -68,7 +68,7 @@ pub fn demo(folder: &Path) -> Result<()> {
     let stop = AtomicBool::new(false);
     let (film_output, source, range) = (&film, Value::String("demo".into()), 0..FRAMES);
     let plan =
-        Film { output: film_output, kind, cameras: &cameras, range, fps: FPS, resume: false, source, stop: &stop };
+        Film { output: film_output, kind, cameras: &cameras, range, fps: FPS, spherical: false, resume: false, source, stop: &stop };
     fly::fly(&plan, &mut |cameras, spare| {
         renderer.reuse(spare);
         renderer.render(&cameras[0], &options, Outputs::default())

@@ -93,6 +93,8 @@ pub mod aim;
 pub mod bench;
 pub mod camera;
 #[cfg(not(target_arch = "wasm32"))]
+pub mod cameras;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod cli;
 mod clock;
 pub mod compare;
@@ -125,10 +127,13 @@ pub mod plane_setup;
 #[cfg(feature = "report")]
 pub mod plot;
 pub mod preset;
+pub mod projection;
 pub mod renderer;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod resident;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod scan;
 pub mod specialize;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod stability;
@@ -136,6 +141,8 @@ pub mod tour;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod video;
 pub mod view;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod viewshed;
 pub mod world;
 
 pub use camera::Camera;
@@ -146,6 +153,7 @@ pub use frame::{Frame, StageTimes, Stats};
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuOptions, GpuRenderer, Kernel};
 pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
+pub use projection::Projection;
 pub use renderer::{CpuRenderer, Outputs};
 pub use resident::Resident;
 pub use specialize::{Feature, Features};

@@ -1,6 +1,7 @@
 //! What a picture is drawn with.
 
 use crate::cpu::shade::SSAO_SAMPLES;
+use crate::projection::Projection;
 use crate::specialize::Features;
 
 /// Neighbours that occlusion may look at.
@@ -114,6 +115,8 @@ pub struct Options {
     pub sky: bool,
     /// What may be left out where the frame does not need it; the picture is the same.
     pub specialize: Features,
+    /// How directions become pixels.
+    pub projection: Projection,
 }
 
 impl Default for Options {
@@ -136,6 +139,7 @@ impl Default for Options {
             sun: None,
             sky: true,
             specialize: Features::ALL,
+            projection: Projection::Perspective,
         }
     }
 }
@@ -190,6 +194,7 @@ impl Options {
         add(o.sun.is_some(), format!("--sun={azimuth},{elevation}"));
         add(!o.sky, "--sky none".into());
         add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));
+        add(o.projection != usual.projection, format!("--projection {}", o.projection));
         flags.join(" ")
     }
 }

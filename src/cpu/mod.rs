@@ -4,4 +4,6 @@ pub mod gap_fill;
 pub mod refine;
 pub mod remap;
 pub mod shade;
+pub mod shade_rays;
+pub mod sphere;
 pub mod traverse;

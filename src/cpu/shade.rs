@@ -85,7 +85,7 @@ impl ShadeParams {
 }
 
 /// The direction towards azimuth (clockwise from north, −z) and elevation, in degrees.
-fn towards([azimuth, elevation]: [f64; 2]) -> glam::DVec3 {
+pub(super) fn towards([azimuth, elevation]: [f64; 2]) -> glam::DVec3 {
     let ((sin, cos), (up, level)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
     glam::DVec3::new(sin * level, up, -cos * level)
 }

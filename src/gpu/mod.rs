@@ -19,6 +19,7 @@ use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Shading};
 use crate::plane_setup::{Setup, plane_setup};
+use crate::projection::Projection;
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::resident::Resident;
 use crate::specialize::{Feature, Specialization, Twin};
@@ -439,6 +440,28 @@ impl GpuRenderer {
         self.submit_from(Begin::Traverse, camera, options, outputs)
     }
 
+    /// Draws pictures of any sizes and hands them on in order; `done` may give a frame back. Several are sent to the device in
+    /// one submission, stage by stage, so that their walks run side by side.
+    pub fn each(
+        &mut self,
+        cameras: &[Camera],
+        options: &Options,
+        outputs: Outputs,
+        done: &dyn Fn(usize, Frame) -> Result<Option<Frame>>,
+    ) -> Result<()> {
+        assert!(self.pending.is_empty(), "frames on their way must be collected first");
+        let mut sent = 0;
+        for i in 0..cameras.len() {
+            while sent < cameras.len() && !self.is_full() {
+                self.submit(&cameras[sent], options, outputs)?;
+                sent += 1;
+            }
+            let frame = self.collect().expect("it was submitted")?;
+            self.reuse(done(i, frame)?);
+        }
+        Ok(())
+    }
+
     /// Draws one frame from what an earlier stage left, on the CPU perhaps: to compare stages one by one.
     pub fn render_from(
         &mut self,
@@ -520,6 +543,10 @@ impl GpuRenderer {
         order: ByteOrder,
     ) -> Result<Drawn> {
         check(camera, options)?;
+        if options.projection != Projection::Perspective {
+            let what = format!("the gpu draws no {} picture; use the cpu", options.projection.name());
+            return Err(Error::Argument(what));
+        }
         if options.f64_traversal {
             return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
         }
