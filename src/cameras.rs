@@ -45,7 +45,9 @@ fn pose(value: &Value, usual: &Camera) -> Result<Camera, String> {
     }
     let number = |field: &str, usual: f64| match fields.get(field) {
         None => Ok(usual),
-        Some(v) => v.as_f64().filter(|v| v.is_finite()).ok_or_else(|| format!(", {field}: expected a number, found {v}")),
+        Some(v) => {
+            v.as_f64().filter(|v| v.is_finite()).ok_or_else(|| format!(", {field}: expected a number, found {v}"))
+        }
     };
     let eye = numbers::<3>(fields, "eye", "three numbers")?.ok_or(", eye: is missing; expected [x, y, z] in voxels")?;
     let size = numbers::<2>(fields, "size", "[width, height] in pixels")?;
@@ -72,7 +74,9 @@ fn pose(value: &Value, usual: &Camera) -> Result<Camera, String> {
 fn numbers<const N: usize>(fields: &Map<String, Value>, field: &str, what: &str) -> Result<Option<[f64; N]>, String> {
     let Some(value) = fields.get(field) else { return Ok(None) };
     let list = value.as_array().map(|list| list.iter().filter_map(Value::as_f64).collect::<Vec<_>>());
-    let list = list.and_then(|list| <[f64; N]>::try_from(list).ok()).filter(|_| value.as_array().is_some_and(|l| l.len() == N));
+    let list = list
+        .and_then(|list| <[f64; N]>::try_from(list).ok())
+        .filter(|_| value.as_array().is_some_and(|l| l.len() == N));
     list.filter(|list| list.iter().all(|v| v.is_finite()))
         .map(Some)
         .ok_or_else(|| format!(", {field}: expected {what}, found {value}"))

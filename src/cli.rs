@@ -39,8 +39,8 @@ use crate::stability;
 use crate::tour::{self, View};
 use crate::video::{Encoder, padded, segment_frames};
 use crate::{
-    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Projection, Remap, Repeat, Resident, Result, Shading,
-    cameras, demo, help, output, pick, renderer, scan, view, viewshed,
+    Camera, Culling, Error, Features, Frame, Options, Outputs, Planes, Projection, Remap, Repeat, Resident, Result,
+    Shading, cameras, demo, help, output, pick, renderer, scan, view, viewshed,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -382,7 +382,11 @@ pub struct DrawArgs {
     fov: Option<f64>,
     /// Which ray each pixel shows: perspective; ortho, HEIGHT voxels high; equirect, cube (3 x 2 faces), fisheye, and lidar, whose
     /// depth is the distance along the ray
-    #[arg(long, value_name = "perspective|ortho[:HEIGHT]|equirect|cube|fisheye|lidar:CHANNELSxSTEPS", default_value = "perspective")]
+    #[arg(
+        long,
+        value_name = "perspective|ortho[:HEIGHT]|equirect|cube|fisheye|lidar:CHANNELSxSTEPS",
+        default_value = "perspective"
+    )]
     projection: Projection,
     /// What draws; auto takes the GPU where one is usable, exact is one ray a pixel
     #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
@@ -809,9 +813,10 @@ impl RenderArgs {
         drop(file);
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
         let mut pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
-        if self.draw.looks_round() && !self.aim.is_given() && self.pitch.is_none() {
-            // A good view looks down; a picture of all directions is upright.
-            pose.pitch = 0.0;
+        if self.draw.looks_round() && !self.aim.is_given() {
+            // A good view looks at all from outside and down; a picture of all directions is taken within and upright.
+            pose.pitch = self.pitch.unwrap_or(0.0);
+            pose.eye = self.eye.unwrap_or_else(|| tour::within(&scene));
         }
         let camera = self.draw.camera(pose, size);
         let (scene, resident) = shared(scene, self.draw.specialize);
@@ -825,7 +830,8 @@ impl RenderArgs {
                 let rays = Rays::new(&camera, options.projection, scene.dims());
                 let bytes = scan::write(kind, &frame, &rays, &about)?;
                 files.push(output::write(path, |out| out.write_all(&bytes))?);
-                files.push(output::write(&scan::beams_file(path), |out| scan::beams(out, &camera, options.projection))?);
+                files
+                    .push(output::write(&scan::beams_file(path), |out| scan::beams(out, &camera, options.projection))?);
             }
             (_, Some(path)) => files.push(output::write(path, |out| picture.write(out, &frame))?),
             _ => {}
@@ -911,7 +917,8 @@ impl RenderArgs {
         let stats = std::sync::Mutex::new(vec![None; if stats_file.is_some() { cameras.len() } else { 0 }]);
         renderer.draw_each(&cameras, &options, outputs, &|i, frame| {
             let name = |dir: &PathBuf, ending: &str| dir.join(format!("{i:06}.{ending}"));
-            let mut files = vec![output::write_one_of_many(&name(&self.output, "png"), |out| output::png(out, &frame))?];
+            let mut files =
+                vec![output::write_one_of_many(&name(&self.output, "png"), |out| output::png(out, &frame))?];
             if let Some(dir) = &depth {
                 files.push(output::write_one_of_many(&name(dir, "depth.npy"), |out| output::npy_depth(out, &frame))?);
             }
@@ -980,7 +987,11 @@ impl FlyArgs {
         check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
         self.draw.set_threads()?;
         let options = self.draw.options();
-        let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov.filter(|_| !self.draw.looks_round()).unwrap_or(60.0))).transpose()?;
+        let given = self
+            .path
+            .as_ref()
+            .map(|file| Path::read(file, self.draw.fov.filter(|_| !self.draw.looks_round()).unwrap_or(60.0)))
+            .transpose()?;
         if self.aim.is_given() && (self.path.is_some() || self.tour) {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
@@ -999,10 +1010,7 @@ impl FlyArgs {
         let frames = all.unwrap_or_else(|| (path.duration() * self.fps).round().clamp(1.0, 1e6) as usize);
         let range = range.unwrap_or(0..frames);
         if self.plan {
-            return print(&format!(
-                "{}\n",
-                json!({"frames": frames, "segment": segment_frames(size[0], size[1])})
-            ));
+            return print(&format!("{}\n", json!({"frames": frames, "segment": segment_frames(size[0], size[1])})));
         }
         if range.end > frames {
             let std::ops::Range { start, end } = range;
@@ -1419,7 +1427,7 @@ mod tests {
     #[test]
     fn cli_swallows_no_flag_as_a_value() {
         let args = render("--eye -5,3,-2 --yaw 30 --size 7x5");
-        assert_eq!((args.yaw, args.size), (Some(30.0), [7, 5]));
+        assert_eq!((args.yaw, args.size), (Some(30.0), Some([7, 5])));
         assert_eq!(refused("--eye --yaw 30"), "a value is required for '--eye <X,Y,Z>' but none was supplied");
         assert!(refused("--yaw --pitch 3").starts_with("a value is required for '--yaw <D>'"));
     }
@@ -1476,7 +1484,7 @@ mod tests {
             Pose { eye: DVec3::new(0.1 + 0.2, -1e-9, 1e7 / 3.0), yaw: 359.9, pitch: -1.0 / 3.0, roll: -0.0, fov: 60.1 };
         let args = render(&view::pose_flags(&pose));
         let typed = (args.eye, args.yaw, args.pitch, args.roll, args.draw.fov);
-        assert_eq!(typed, (Some(pose.eye), Some(pose.yaw), Some(pose.pitch), pose.roll, pose.fov));
+        assert_eq!(typed, (Some(pose.eye), Some(pose.yaw), Some(pose.pitch), pose.roll, Some(pose.fov)));
     }
 
     #[cfg(feature = "report")]

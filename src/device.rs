@@ -214,7 +214,10 @@ impl Renderer {
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) if !gpu_draws(options) => {
                 let cpu = self.beside.get_or_insert_with(|| {
-                    tell(&format!("drawing {} on the cpu: the gpu draws perspective and cube", options.projection.name()));
+                    tell(&format!(
+                        "drawing {} on the cpu: the gpu draws perspective and cube",
+                        options.projection.name()
+                    ));
                     let (scene, resident) = gpus[0].draws();
                     Box::new(CpuRenderer::new(scene, resident))
                 });

@@ -818,7 +818,17 @@ mod tests {
         let out = dir.path().join("film");
         let (stop, cameras) = (AtomicBool::new(false), cameras(9));
         let (kind, range, source) = (Kind::Folder, 0..9, Value::Null);
-        let film = Film { output: &out, kind, cameras: &cameras, range, fps: 25.0, spherical: false, resume: false, source, stop: &stop };
+        let film = Film {
+            output: &out,
+            kind,
+            cameras: &cameras,
+            range,
+            fps: 25.0,
+            spherical: false,
+            resume: false,
+            source,
+            stop: &stop,
+        };
         let error = fly(&film, &mut |c, _| match c[0].eye.x {
             1.0 => Err(Error::Limit("too far".into())),
             _ => Ok(picture(&c[0])),

@@ -127,7 +127,9 @@ impl FromStr for Projection {
                 })?;
                 Ok(Projection::Lidar { channels, steps })
             }
-            _ => Err("expected perspective, ortho, ortho:HEIGHT, equirect, cube, fisheye or lidar:CHANNELSxSTEPS".into()),
+            _ => {
+                Err("expected perspective, ortho, ortho:HEIGHT, equirect, cube, fisheye or lidar:CHANNELSxSTEPS".into())
+            }
         }
     }
 }
@@ -233,7 +235,9 @@ impl Rays {
     /// Where the ray of a pixel begins.
     pub fn origin(&self, x: u32, y: u32) -> DVec3 {
         match self.kind {
-            Kind::Parallel { corner, right, down } => corner + right * (f64::from(x) + 0.5) + down * (f64::from(y) + 0.5),
+            Kind::Parallel { corner, right, down } => {
+                corner + right * (f64::from(x) + 0.5) + down * (f64::from(y) + 0.5)
+            }
             _ => self.camera.eye,
         }
     }
@@ -301,8 +305,11 @@ impl Rays {
                 let (f, r, u) = (b.forward * cos, b.right * cos, b.up * sin);
                 let columns = &columns[from as usize..];
                 for ((_, ((dx, dy), dz)), [s, c]) in all.zip(columns) {
-                    (*dx, *dy, *dz) =
-                        ((c * f.x + s * r.x + u.x) as f32, (c * f.y + s * r.y + u.y) as f32, (c * f.z + s * r.z + u.z) as f32);
+                    (*dx, *dy, *dz) = (
+                        (c * f.x + s * r.x + u.x) as f32,
+                        (c * f.y + s * r.y + u.y) as f32,
+                        (c * f.z + s * r.z + u.z) as f32,
+                    );
                 }
             }
             _ => {
@@ -311,6 +318,14 @@ impl Rays {
                     (*dx, *dy, *dz) = (d.x, d.y, d.z);
                 }
             }
+        }
+    }
+
+    /// Sine and cosine of columns' longitudes and of rows' latitudes, where each has one.
+    pub fn angles(&self) -> Option<[&[[f64; 2]]; 2]> {
+        match &self.kind {
+            Kind::Angles { columns, rows } => Some([columns, rows]),
+            _ => None,
         }
     }
 
@@ -466,7 +481,8 @@ mod tests {
 
     #[test]
     fn cube_faces_are_cameras_of_their_own() {
-        for (yaw, pitch, roll) in [(0.0, 0.0, 0.0), (30.0, 0.0, 0.0), (200.0, -35.0, 0.0), (10.0, 20.0, 70.0), (5.0, 90.0, 10.0)]
+        for (yaw, pitch, roll) in
+            [(0.0, 0.0, 0.0), (30.0, 0.0, 0.0), (200.0, -35.0, 0.0), (10.0, 20.0, 70.0), (5.0, 90.0, 10.0)]
         {
             let c = camera(yaw, pitch, roll, [24, 16]);
             let rays = Rays::new(&c, Projection::Cube, [1; 3]);
@@ -517,7 +533,10 @@ mod tests {
     fn ortho_is_as_high_as_it_says_and_as_perspective_at_the_middle() {
         let c = Camera { eye: DVec3::new(50.0, 300.0, 50.0), ..camera(0.0, -90.0, 0.0, [200, 100]) };
         let rays = Rays::new(&c, Projection::Ortho { height: Some(100.0) }, [100; 3]);
-        assert!(near(rays.origin(0, 0), DVec3::new(-49.5, 300.0, 0.5)) && near(rays.origin(199, 99), DVec3::new(149.5, 300.0, 99.5)));
+        assert!(
+            near(rays.origin(0, 0), DVec3::new(-49.5, 300.0, 0.5))
+                && near(rays.origin(199, 99), DVec3::new(149.5, 300.0, 99.5))
+        );
         assert_eq!(rays.direction(3, 4), Some(DVec3::NEG_Y));
         // 250 voxels away; a field of view of 90° shows 500 there.
         let rays = Rays::new(&c, Projection::Ortho { height: None }, [100; 3]);
@@ -526,7 +545,8 @@ mod tests {
 
     #[test]
     fn sizes_and_fields_of_view_that_do_not_fit_are_refused_by_name() {
-        let says = |p: Projection, size, fov| p.check(&Camera { fov, ..camera(0.0, 0.0, 0.0, size) }).unwrap_err().to_string();
+        let says =
+            |p: Projection, size, fov| p.check(&Camera { fov, ..camera(0.0, 0.0, 0.0, size) }).unwrap_err().to_string();
         assert!(says(Projection::Cube, [300, 100], 60.0).contains("1536x1024"));
         assert!(says(Projection::Fisheye, [9, 9], 361.0).contains("at most 360"));
         assert!(says(Projection::Lidar { channels: 2, steps: 3 }, [2, 3], 1.0).contains("3 × 2"));

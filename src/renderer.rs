@@ -2,14 +2,14 @@
 
 use crate::camera::Camera;
 use crate::clock::Instant;
-use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
 use crate::cpu::sphere::Sphere;
+use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
 use crate::cpu::{gap_fill, refine, remap, shade, shade_rays};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Planes, Remap, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
-use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::plane_setup::sphere::Layout;
+use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
 use crate::projection::{Projection, Rays, face_cameras, join_faces};
 use crate::resident::Resident;
 use crate::specialize::{Specialization, Twin};
@@ -128,7 +128,19 @@ impl CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
-        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade, sphere: None, rests: None, keeps: false }
+        CpuRenderer {
+            scene,
+            resident,
+            buffer,
+            color,
+            index,
+            doubt,
+            spare: None,
+            shade,
+            sphere: None,
+            rests: None,
+            keeps: false,
+        }
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -264,7 +276,9 @@ impl CpuRenderer {
         let before = self.rests.replace((*camera, *options));
         // A view that does not turn costs least as it is; one that is wide is mostly its corners.
         let same = |(old, how): (Camera, Options)| old.eye == camera.eye && how == *options;
-        before.is_some_and(same) && camera.fov <= 100.0 && (before.is_some_and(|b| b.0 != *camera) || self.sphere.is_some())
+        before.is_some_and(same)
+            && camera.fov <= 100.0
+            && (before.is_some_and(|b| b.0 != *camera) || self.sphere.is_some())
     }
 
     /// Draws one frame from the planes around the eye, and fills those that it is the first to show.
@@ -283,7 +297,10 @@ impl CpuRenderer {
         if layout.total() > SPHERE_LIMIT {
             return Err(Error::Limit(format!(
                 "{} picture of {} × {} pixels: its sphere takes {} samples, {SPHERE_LIMIT} are drawn at once; try a smaller --size",
-                options.projection, camera.width, camera.height, layout.total()
+                options.projection,
+                camera.width,
+                camera.height,
+                layout.total()
             )));
         }
         let mut frame = self.frame(camera, outputs);
@@ -338,12 +355,18 @@ impl CpuRenderer {
     fn render_cube(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         let options = Options { projection: Projection::Perspective, ..*options };
         let keeps = std::mem::replace(&mut self.keeps, false);
-        let faces: Result<Vec<Frame>> = face_cameras(camera).iter().map(|face| self.render(face, &options, outputs)).collect();
+        let faces: Result<Vec<Frame>> =
+            face_cameras(camera).iter().map(|face| self.render(face, &options, outputs)).collect();
         self.keeps = keeps;
         Ok(join_faces(camera, faces?))
     }
 
     fn shade_rays(&mut self, camera: &Camera, options: &Options, rays: &Rays, frame: &mut Frame) {
+        if let Some(angles) = rays.angles() {
+            let params = shade_rays::round_params(camera, rays, options);
+            let (color, depth) = (&self.color, &frame.depth);
+            return shade_rays::shade_round(angles, &params, color, depth, &mut self.shade, &mut frame.color);
+        }
         let size = [camera.width, camera.height].map(|v| v as usize);
         shade_rays::shade_rays(rays, size, options, &self.color, &frame.depth, &mut frame.color);
     }

@@ -66,7 +66,11 @@ struct Point {
     step: u16,
 }
 
-fn points<'a>(frame: &'a Frame, rays: &'a Rays, map: impl Fn([f64; 3]) -> [f64; 3] + 'a) -> impl Iterator<Item = Point> + 'a {
+fn points<'a>(
+    frame: &'a Frame,
+    rays: &'a Rays,
+    map: impl Fn([f64; 3]) -> [f64; 3] + 'a,
+) -> impl Iterator<Item = Point> + 'a {
     let shown = frame.depth.iter().enumerate().filter(|(_, range)| range.is_finite());
     shown.map(move |(i, &range)| {
         let (x, y) = (i as u32 % frame.width, i as u32 / frame.width);
@@ -132,8 +136,7 @@ pub fn write(kind: Kind, frame: &Frame, rays: &Rays, about: &About) -> Result<Ve
             let transform = |at: usize| las::Transform { scale, offset: origin[at].floor() };
             builder.transforms = las::Vector { x: transform(0), y: transform(1), z: transform(2) };
             let header = builder.into_header().map_err(|e| fault(e.to_string()))?;
-            let mut writer =
-                las::Writer::new(io::Cursor::new(Vec::new()), header).map_err(|e| fault(e.to_string()))?;
+            let mut writer = las::Writer::new(io::Cursor::new(Vec::new()), header).map_err(|e| fault(e.to_string()))?;
             for p in points(frame, rays, map) {
                 let [x, y, z] = p.at;
                 let [red, green, blue] = p.color.map(|c| u16::from(c) * 257);

@@ -58,7 +58,10 @@ pub fn viewshed(resident: &Resident, eyes: &[DVec3]) -> Result<Viewshed> {
             }
             None => {
                 look_round(level, eye, &seen);
-                counts.par_iter_mut().zip(&seen).for_each(|(count, seen)| *count += u16::from(seen.swap(0, Ordering::Relaxed)));
+                counts
+                    .par_iter_mut()
+                    .zip(&seen)
+                    .for_each(|(count, seen)| *count += u16::from(seen.swap(0, Ordering::Relaxed)));
             }
         }
     }
@@ -387,7 +390,8 @@ mod tests {
         let caves = scene([40, 30, 40], |x, y, z| noise(x / 4 + 99 * (y / 5), z / 4) % 3 == 0 || y < 2);
         for (world, hidden_at_most) in [(&hills, 0.02), (&caves, 0.05)] {
             for eye in [DVec3::new(20.3, 29.0, 18.7), DVec3::new(3.4, 13.5, 30.2), DVec3::new(-9.0, 20.0, 55.0)] {
-                let [general, fast] = [Features::NONE, Features::ALL].map(|f| viewshed(&resident(world, f), &[eye]).unwrap());
+                let [general, fast] =
+                    [Features::NONE, Features::ALL].map(|f| viewshed(&resident(world, f), &[eye]).unwrap());
                 let differ = general.counts.iter().zip(&fast.counts).filter(|(a, b)| a != b).count();
                 assert_eq!(differ, 0);
                 if !fast.inside.is_empty() {
@@ -396,7 +400,8 @@ mod tests {
                 let made = Arc::new(world.clone());
                 let tables = Arc::new(Resident::new(world));
                 let camera = crate::Camera { eye, width: 3000, height: 1500, ..crate::Camera::default() };
-                let options = Options { projection: Projection::Equirect, shading: crate::Shading::None, ..Options::default() };
+                let options =
+                    Options { projection: Projection::Equirect, shading: crate::Shading::None, ..Options::default() };
                 let frame = CpuRenderer::new(&made, &tables).exact(&camera, &options, Outputs { voxel: true }).unwrap();
                 let mut shown = vec![false; 1600];
                 for v in frame.voxel.iter().filter(|v| v[3] >= 0) {

@@ -602,7 +602,7 @@ fn retest_rows(task: RetestTask<'_>) {
 /// meet one of two that share a face, between which there is nothing else to see. Nor do cells of coarser levels, which are
 /// about a pixel wide.
 #[inline(always)]
-pub(super) fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 2], nearest: &mut [f32; BLOCK]) {
+fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 2], nearest: &mut [f32; BLOCK]) {
     for i in 0..near.len() {
         let apart = |axis: usize| own[axis][i].wrapping_sub(beside[axis][i]).unsigned_abs();
         let neighbours =

@@ -6,7 +6,7 @@
 
 use crate::camera::Camera;
 use crate::cpu::refine::{self, Doubt};
-use crate::cpu::remap::{BLOCK, Boxes, MISS, Pixels, SETTLED, all_sky, color_of, missed, ray_inverse, settle};
+use crate::cpu::remap::{BLOCK, Boxes, MISS, Pixels, SETTLED, all_sky, color_of, missed, ray_inverse};
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY, has_avx2};
 use crate::options::{Options, Remap};
 use crate::plane_setup::Setup;
@@ -211,13 +211,15 @@ struct Looks {
     drawn: [f32; 2],
 }
 
-/// What a direction looks at: azimuths of the two planes beside it, the nearest first, the sample, and the depth along the
-/// direction that is one of the plane.
+/// What a direction looks at: azimuths of the two planes beside it, the nearest first, the samples of each, and the depth along
+/// the direction that is one of the plane. The second plane's sample is the one on the direction's other side: where it and the
+/// first show the same, what is between them does.
 #[derive(Clone, Copy)]
 struct Look {
     plane: u32,
     second: u32,
     sample: u32,
+    beside: u32,
     scale: f32,
 }
 
@@ -246,7 +248,13 @@ impl Looks {
         let side = if k - plane as f32 >= 0.5 { 1 } else { -1 };
         let n = self.azimuths as i32;
         let second = plane + side;
-        let second = if second < 0 { n - 1 } else if second >= n { 0 } else { second };
+        let second = if second < 0 {
+            n - 1
+        } else if second >= n {
+            0
+        } else {
+            second
+        };
         let up = dy.abs();
         let steep = up > level;
         let most = Real::max(if steep { up } else { level }, 1e-30);
@@ -258,8 +266,12 @@ impl Looks {
         } else {
             quotient
         };
-        let sample = Real::min(Real::max(place * self.band, self.drawn[0]), self.drawn[1]).truncate(self.drawn[1]);
-        Look { plane: plane as u32, second: second as u32, sample: sample as u32, scale: 1.0 / most }
+        let place = Real::min(Real::max(place * self.band, self.drawn[0]), self.drawn[1] + 0.99);
+        let sample = place.truncate(self.drawn[1]) as f32;
+        let beside = if place - sample >= 0.5 { sample + 1.0 } else { sample - 1.0 };
+        let beside = Real::min(Real::max(beside, self.drawn[0]), self.drawn[1]).truncate(self.drawn[1]);
+        let [plane, second, sample, beside] = [plane, second, sample as i32, beside].map(|v| v as u32);
+        Look { plane, second, sample, beside, scale: 1.0 / most }
     }
 }
 
@@ -355,16 +367,13 @@ fn remap_rows(task: Task<'_>) {
         rays.fill(from as u32, y, [&mut dx[..m], &mut dy[..m], &mut dz[..m]]);
         for i in 0..m {
             let look = looks.at([dx[i], dy[i], dz[i]]);
-            (b.planes[0][i], b.planes[1][i], b.sample[i], b.scale[i]) = (look.plane, look.second, look.sample, look.scale);
+            (b.planes[0][i], b.planes[1][i], b.sample[i], b.scale[i]) =
+                (look.plane, look.second, look.sample, look.scale);
+            (b.at[0][i], b.at[1][i]) = (look.plane * n + look.sample, look.second * n + look.beside);
         }
         for (inverse, dir) in b.inverse.iter_mut().zip(&b.dir) {
             for (inverse, &dir) in inverse[..m].iter_mut().zip(&dir[..m]) {
                 *inverse = ray_inverse(dir);
-            }
-        }
-        for (at, planes) in b.at.iter_mut().zip(&b.planes) {
-            for ((at, plane), sample) in at[..m].iter_mut().zip(&planes[..m]).zip(&b.sample[..m]) {
-                *at = plane * n + sample;
             }
         }
         for ((at, near), voxel) in b.at.iter().zip(&mut b.near).zip(&mut b.voxel) {
@@ -379,9 +388,21 @@ fn remap_rows(task: Task<'_>) {
             n_again += usize::from((one == MISS || other == MISS) && !sky);
         }
         if doubts {
-            settle(&b.voxel, [&near[..m], &near_beside[..m]], &mut b.nearest);
-            for (i, nearest) in b.nearest[..m].iter_mut().enumerate().filter(|(_, n)| **n != SETTLED) {
-                *nearest = Real::min(depths[own[i] as usize], depths[beside[i] as usize]) * b.scale[i];
+            // No doubt where all four samples around show one voxel, and the ray meets it; nor of coarser levels.
+            for i in 0..m {
+                let (one, other) = (own[i] as usize, beside[i] as usize);
+                let third = (b.planes[0][i] * n + beside[i] % n) as usize;
+                let fourth = (b.planes[1][i] * n + b.sample[i]) as usize;
+                let voxel = shown[one];
+                let same = voxel == shown[other] && voxel == shown[third] && voxel == shown[fourth];
+                let coarse = voxel[3].max(shown[other][3]) > 0;
+                b.nearest[i] = match coarse || (same && near[i] != MISS) || (same && voxel[3] < 0) {
+                    true => SETTLED,
+                    false => {
+                        let pairs = [[one, other], [third, fourth]].map(|[a, b]| Real::min(depths[a], depths[b]));
+                        Real::min(pairs[0], pairs[1]) * b.scale[i]
+                    }
+                };
             }
         }
         for i in 0..m {
@@ -392,7 +413,7 @@ fn remap_rows(task: Task<'_>) {
                 compact[j] = all[usize::from(i)];
             }
         }
-        for (planes, step) in b.planes.iter().flat_map(|planes| [(planes, -1), (planes, 1)]) {
+        for (planes, step) in [(0, -1), (0, 1), (1, -1), (1, 0), (1, 1)].map(|(k, step)| (&b.planes[k], step)) {
             for (at, &i) in b.again_at.iter_mut().zip(&b.again[..n_again]) {
                 let i = usize::from(i);
                 let sample = b.sample[i].wrapping_add_signed(step);

@@ -42,13 +42,16 @@ impl Layout {
         let azimuths = ((along * std::f64::consts::TAU).round() as u32).max(4);
         let band = (up.ceil() as u32).max(2);
         let samples = BANDS * band;
-        let place = |slope: f64| f64::from(band) * (if slope.abs() <= 1.0 {
-            2.0 + slope
-        } else if slope > 1.0 {
-            4.0 - 1.0 / slope
-        } else {
-            -1.0 / slope
-        });
+        let place = |slope: f64| {
+            f64::from(band)
+                * (if slope.abs() <= 1.0 {
+                    2.0 + slope
+                } else if slope > 1.0 {
+                    4.0 - 1.0 / slope
+                } else {
+                    -1.0 / slope
+                })
+        };
         let drawn = rays.slopes().map_or([0, samples], |[low, high]| {
             [(place(low) - MARGIN).max(0.0) as u32, ((place(high) + MARGIN).ceil() as u32).min(samples)]
         });

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use mp4_atom::{
     Atom, Av01, Av1c, Avc1, Avcc, Co64, Codec as Entry, Colr, Decode, Dinf, Dref, DrefEntry, Encode, Equi, FixedPoint,
-    FourCC, Ftyp, Hdlr, Mdhd, Mdia, Minf, Moov, Mvhd, Prhd, Proj, ProjKind, Spatial, St3d, Stbl, Stco, Stsc, StscEntry, Stsd, Stss, Stsz, StszSamples, Stts,
-    SttsEntry, Sv3d, Svhd, Tkhd, Trak, Url, Visual, Vmhd,
+    FourCC, Ftyp, Hdlr, Mdhd, Mdia, Minf, Moov, Mvhd, Prhd, Proj, ProjKind, Spatial, St3d, Stbl, Stco, Stsc, StscEntry,
+    Stsd, Stss, Stsz, StszSamples, Stts, SttsEntry, Sv3d, Svhd, Tkhd, Trak, Url, Visual, Vmhd,
 };
 use planecast_encoder::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -98,11 +98,7 @@ impl Form {
         if !self.spherical {
             return None;
         }
-        let proj = Proj {
-            prhd: Some(Prhd::default()),
-            kind: Some(ProjKind::Equi(Equi::default())),
-            ..Proj::default()
-        };
+        let proj = Proj { prhd: Some(Prhd::default()), kind: Some(ProjKind::Equi(Equi::default())), ..Proj::default() };
         let svhd = Some(Svhd { metadata_source: "planecast".into() });
         Some(Box::new(Spatial {
             st3d: Some(St3d { stereo_mode: St3d::MONO }),
