@@ -9,7 +9,7 @@
 //! `--film` counts frames a second with their read-back, one at a time and several on their way.
 
 use criterion::{BenchmarkId, Criterion};
-use planecast::gpu::bench::{Entry, film, flythrough, poses, stroll};
+use planecast::measure::flythrough::{Entry, film, flythrough, poses, stroll};
 use planecast::{
     Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap, Repeat, Resident, StageTimes,
 };

@@ -144,7 +144,7 @@ fn compressed(columns: &Columns) -> std::io::Result<[u64; 3]> {
 
 fn measure(path: &str) -> Result<(), Box<dyn std::error::Error>> {
     let file = PcastFile::open(path)?;
-    let info = planecast_encoder::info::info(&file)?;
+    let info = planecast_encoder::inspect::info::info(&file)?;
     let scene = file.read_scene()?;
     let columns = &scene.levels[0].solid;
     let side = columns.dims().into_iter().max().unwrap_or(1).next_power_of_two().max(CHUNK);

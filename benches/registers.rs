@@ -6,7 +6,7 @@
 
 use ash::vk;
 use planecast::gpu::Shader;
-use planecast::gpu::bench::poses;
+use planecast::measure::flythrough::poses;
 use planecast::{Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Repeat, Resident};
 use planecast_encoder::{BuildOptions, build, source};
 use std::error::Error;

@@ -8,8 +8,8 @@
 
 use glam::DVec3;
 use planecast::cpu::traverse::{PlaneBuffer, Real};
-use planecast::plane_setup::plane_setup;
-use planecast::specialize::{Specialization, Twin};
+use planecast::frame::plane_setup::plane_setup;
+use planecast::frame::specialize::{Specialization, Twin};
 use planecast::{Camera, Features, Options, Repeat, Resident};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, PcastFile, Scene, build};

@@ -7,7 +7,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use planecast::cpu::traverse::{PlaneBuffer, traverse};
 use planecast::cpu::{remap, shade};
-use planecast::plane_setup::plane_setup;
+use planecast::frame::plane_setup::plane_setup;
 use planecast::{Camera, CpuRenderer, Options, Outputs, Remap, Repeat, Resident, Shading};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, PcastFile, Scene, build};

@@ -9,7 +9,7 @@
 use glam::DVec3;
 use planecast::cpu::traverse::{Counters, PlaneBuffer, traverse};
 use planecast::cpu::{refine, remap};
-use planecast::plane_setup::plane_setup;
+use planecast::frame::plane_setup::plane_setup;
 use planecast::{Camera, Options, Remap, Repeat, Resident};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{BuildOptions, PcastFile, Scene, build};

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use bytemuck::pod_read_unaligned;
+use planecast_encoder::format::write::write_scene_to;
 use planecast_encoder::format::{Header, TileEntry};
+use planecast_encoder::inspect::verify::{Depth, verify};
 use planecast_encoder::source::{Dtype, Format, HeightCode, PointSize, ReadOptions, Up, open, read};
-use planecast_encoder::verify::{Depth, verify};
-use planecast_encoder::write::write_scene_to;
 use planecast_encoder::{Colors, Input, PcastFile, Scene};
 use xxhash_rust::xxh3::xxh3_64;
 

@@ -49,17 +49,30 @@
 //! # Stages
 //! Each stage has one name, here and in `shaders/`, in [`Stats`] and in the benches.
 //!
-//! | stage | reads → writes | one task is | CPU | GPU |
+//! | stage | reads → writes | one task per | CPU | GPU |
 //! |---|---|---|---|---|
-//! | `plane_setup` | camera → planes, fans | a frame | [`plane_setup`] | the same, uploaded |
-//! | `traverse` | planes, columns → plane buffer | a plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
-//! | `remap` | plane buffer → pixels, doubts | a pixel | [`cpu::remap`] | `remap.wgsl` |
-//! | `refine` | doubts, columns → pixels | a pixel | [`cpu::refine`] | `refine.wgsl` |
-//! | `gap_fill` | pixels → pixels without holes | a pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
-//! | `shade` | colour, depth → picture | a pixel | [`cpu::shade`] | `shade.wgsl` |
+//! | `plane_setup` | camera → planes, fans | frame | [`frame::plane_setup`] | the same, uploaded |
+//! | `traverse` | planes, columns → plane buffer | plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
+//! | `remap` | plane buffer → pixels, doubts | pixel | [`cpu::remap`] | `remap.wgsl` |
+//! | `refine` | doubts, columns → pixels | pixel | [`cpu::refine`] | `refine.wgsl` |
+//! | `gap_fill` | pixels → pixels without holes | pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
+//! | `shade` | colour, depth → picture | pixel | [`cpu::shade`] | `shade.wgsl` |
 //!
-//! [`exact`] is the reference for all of them: one f64 ray a pixel at level 0, which shares no code with the planes.
-//! `raycast.wgsl` is the GPU's baseline: one f32 ray a pixel over the same tables and levels.
+//! [`cpu::exact`] is the reference for all of them: one f64 ray per pixel at level 0, which shares no code with the planes.
+//! `raycast.wgsl` is the GPU's baseline: one f32 ray per pixel over the same tables and levels.
+//!
+//! # Folders
+//! | module | what belongs in it |
+//! |---|---|
+//! | [`encoder`] | the scene format, readers of inputs, tiles and levels |
+//! | [`world`] | a scene in memory, as renderers read it |
+//! | [`frame`] | one frame: camera, options, planes, picture |
+//! | [`cpu`], [`gpu`] | the stages, as twins |
+//! | [`render`] | which device draws: [`Renderer`] |
+//! | [`film`] | paths, tours, films |
+//! | [`measure`] | benches, the report of error against time, stability |
+//! | [`view`] | the window, and what the page shares with it |
+//! | `cli` | the command line |
 //!
 //! # Words
 //! *Column*: one (x, z) of the world, y up. *Run*: a solid interval of a column. *Level*: the world at half the resolution
@@ -74,90 +87,48 @@
 //! averaged in linear light.
 //!
 //! # In a page
-//! For wasm32 (`web/`), what needs files, threads or a command line is left out: `cli`, `demo`, `device`, `fly`, `output`,
-//! `stability`, `video`.
+//! For wasm32 (`web/`), what needs files, threads or a command line is left out: `cli`, `film::fly`, `film::video`,
+//! `measure::stability`, `output`, `render::device`.
 //!
 //! # Who validates
 //! `planecast_encoder` proves a file before it becomes a `Scene`; [`Resident`] is made from a `Scene` only; kernels trust
-//! it. [`renderer::check`] proves camera and options.
+//! it. [`cpu::renderer::check`] proves camera and options.
 //!
 //! # What is exact
 //! Plane setup is f64. The walk is f32, as on the GPU, with crossings recomputed from whole cell numbers at each step.
-//! At pitch 0 and roll 0 planes are pixel columns and differ from [`exact`] by rounding alone; elsewhere a pixel shows what
+//! At pitch 0 and roll 0 planes are pixel columns and differ from [`cpu::exact`] by rounding alone; elsewhere a pixel shows what
 //! a sample less than a pixel away sees, tested against its own ray ([`Remap::Retest`]); where samples show
 //! different voxels of level 0, what a short walk of that ray meets ([`Remap::Refine`]). Culling never changes a picture.
 
 #[cfg(not(target_arch = "wasm32"))]
-pub mod aim;
-#[cfg(feature = "report")]
-pub mod bench;
-pub mod camera;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod cameras;
-#[cfg(not(target_arch = "wasm32"))]
 pub mod cli;
 mod clock;
-pub mod compare;
 pub mod cpu;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod demo;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod device;
 pub mod error;
-pub mod exact;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod fly;
+pub mod film;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod help;
-#[cfg(feature = "report")]
-mod json_lines;
-#[cfg(feature = "report")]
-pub mod machine;
-pub mod options;
+pub mod measure;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod output;
-#[cfg(feature = "report")]
-pub mod page;
-pub mod path;
-pub mod pick;
-pub mod plane_setup;
-#[cfg(feature = "report")]
-pub mod plot;
-pub mod preset;
-pub mod projection;
-pub mod renderer;
-#[cfg(feature = "report")]
-pub mod report;
-pub mod resident;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod scan;
-pub mod specialize;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod stability;
-pub mod tour;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod video;
+pub mod render;
 pub mod view;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod viewshed;
 pub mod world;
 
-pub use camera::Camera;
-#[cfg(not(target_arch = "wasm32"))]
-pub use device::{Device, Renderer};
+pub use cpu::renderer::{CpuRenderer, Outputs};
 pub use error::{Error, Result};
-pub use frame::{Frame, StageTimes, Stats};
+pub use frame::camera::Camera;
+pub use frame::options::{Culling, Options, Planes, Remap, Repeat, Shading};
+pub use frame::picture::{Frame, StageTimes, Stats};
+pub use frame::projection::Projection;
+pub use frame::specialize::{Feature, Features};
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuOptions, GpuRenderer, Kernel};
-pub use options::{Culling, Options, Planes, Remap, Repeat, Shading};
-pub use projection::Projection;
-pub use renderer::{CpuRenderer, Outputs};
-pub use resident::Resident;
-pub use specialize::{Feature, Features};
+#[cfg(not(target_arch = "wasm32"))]
+pub use render::device::{Device, Renderer};
 pub use world::World;
+pub use world::tables::Resident;
 
 /// Vectors, as [`Camera`] has them.
 pub use glam;

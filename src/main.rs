@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 #[global_allocator]
-static ALLOCATOR: planecast_encoder::guard::Allocator = planecast_encoder::guard::Allocator;
+static ALLOCATOR: planecast_encoder::store::guard::Allocator = planecast_encoder::store::guard::Allocator;
 
 fn main() -> ExitCode {
     // Faults are told in plain words. The library that says that memory is out looks here, whatever the program has to say.
@@ -20,16 +20,16 @@ fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| {
         let place = panic.location().map(|l| format!(" at {}:{}", l.file(), l.line())).unwrap_or_default();
         let what = panic.payload_as_str().unwrap_or("unknown").replace('\n', " ");
-        planecast_encoder::guard::last_word();
+        planecast_encoder::store::guard::last_word();
         // Threads are asked for in libraries, too, which take them for granted.
-        if planecast_encoder::guard::is_short_of_memory()
+        if planecast_encoder::store::guard::is_short_of_memory()
             || what.contains("spawn thread")
             || what.contains("ThreadPool")
         {
             planecast_encoder::say!(
                 "planecast: out of memory: {what}; raise the system's limit (ulimit -v), or ask for less (--memory, --size, --threads)"
             );
-            planecast_encoder::guard::leave(1);
+            planecast_encoder::store::guard::leave(1);
         }
         planecast_encoder::say!("planecast: a fault in the program itself{place}: {what}; please report it");
         std::process::exit(1);

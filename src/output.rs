@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use planecast_encoder::passing::Unfinished;
+use planecast_encoder::store::passing::Unfinished;
 use planecast_encoder::{Error, Result};
 
 use crate::Frame;

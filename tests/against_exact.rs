@@ -9,7 +9,7 @@ use common::{
     single_things, sponge, staircase, wide_poses,
 };
 use glam::DVec3;
-use planecast::exact::cast;
+use planecast::cpu::exact::cast;
 use planecast::{Camera, Frame, Options, Planes, Projection, Remap, Repeat};
 use planecast_encoder::Columns;
 

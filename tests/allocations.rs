@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::DVec3;
-use planecast::device::{Device, Renderer};
+use planecast::render::device::{Device, Renderer};
 use planecast::{Camera, Options, Outputs, Resident};
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, build};

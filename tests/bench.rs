@@ -3,11 +3,11 @@
 #![cfg(feature = "report")]
 
 use planecast::Result;
-use planecast::bench::measure::Rounds;
-use planecast::bench::parts::{Extent, Part};
-use planecast::bench::row::{Row, Source};
-use planecast::bench::scenes::Name;
-use planecast::bench::{Device, Settings, run};
+use planecast::measure::bench::measure::Rounds;
+use planecast::measure::bench::parts::{Extent, Part};
+use planecast::measure::bench::row::{Row, Source};
+use planecast::measure::bench::scenes::Name;
+use planecast::measure::bench::{Device, Settings, run};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

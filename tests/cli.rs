@@ -5,7 +5,8 @@ use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use planecast_encoder::{BuildOptions, Colors, ColumnsBuilder, Input, Run, build, write::write_scene};
+use planecast_encoder::format::write::write_scene;
+use planecast_encoder::{BuildOptions, Colors, ColumnsBuilder, Input, Run, build};
 
 /// A folder with `hills.pcast`, a coloured 48 × 20 × 40 terrain.
 fn workplace() -> tempfile::TempDir {

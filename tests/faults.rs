@@ -3,9 +3,9 @@
 
 use glam::DVec3;
 use planecast::cpu::remap::Row;
-use planecast::plane_setup::{Setup, plane_setup};
-use planecast::stability::measure::{off, sane};
-use planecast::stability::{Drawer, World, WorldName};
+use planecast::frame::plane_setup::{Setup, plane_setup};
+use planecast::measure::stability::measure::{off, sane};
+use planecast::measure::stability::{Drawer, World, WorldName};
 use planecast::{Camera, Frame, Options, Repeat, Shading};
 
 const SKY: [i32; 4] = [-1; 4];

@@ -6,8 +6,8 @@ use common::any::{BOTH, Clumps, agree, any_camera, check, clumps, same, scaled, 
 use common::compare::{compare, identical, mirrored, sane, with_voxels};
 use common::{MEDIUM, Random, caves, cullings, hills, odd, plain, poses, room, worlds};
 use glam::DVec3;
-use planecast::stability::measure::off;
-use planecast::stability::{self, WorldName};
+use planecast::measure::stability::measure::off;
+use planecast::measure::stability::{self, WorldName};
 use planecast::{Camera, Culling, Frame, Options, Outputs, Planes, Remap, Repeat};
 use planecast_encoder::{BuildOptions, Columns, Input, Scene, build};
 use proptest::prelude::*;
@@ -218,7 +218,7 @@ fn readjusted_spacing_casts_fewer_planes_looking_down() {
     }
 }
 
-/// Cameras at every limit that [`planecast::renderer::check`] allows.
+/// Cameras at every limit that [`planecast::cpu::renderer::check`] allows.
 fn extreme_camera() -> impl Strategy<Value = Camera> {
     let around = |limit: f64| {
         let whole = prop_oneof![3 => -20i32..60, 1 => Just(0), 1 => Just(32)].prop_map(f64::from);

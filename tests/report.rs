@@ -4,11 +4,11 @@
 mod common;
 
 use common::{World, hills, rocks};
-use planecast::report::journal::{self, Journal};
-use planecast::report::poses::{self, Named};
-use planecast::report::run::{self, Draw, Drawer, Plan, Row};
-use planecast::report::sweep::{Config, configs};
-use planecast::report::{Job, choose, present};
+use planecast::measure::report::journal::{self, Journal};
+use planecast::measure::report::poses::{self, Named};
+use planecast::measure::report::run::{self, Draw, Drawer, Plan, Row};
+use planecast::measure::report::sweep::{Config, configs};
+use planecast::measure::report::{Job, choose, present};
 use planecast::{Camera, Error, Frame, Options, Outputs, Result};
 use planecast_encoder::MipRule;
 use std::cell::Cell;
@@ -251,7 +251,7 @@ fn report_leaves_every_file_and_refuses_another_folder() {
     let world = hills([64, 32, 64]);
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("hills.pcast");
-    planecast_encoder::write::write_scene(&world.scene, &scene).unwrap();
+    planecast_encoder::format::write::write_scene(&world.scene, &scene).unwrap();
     let folder = dir.path().join("report");
     let job = Job {
         folder: &folder,
@@ -260,15 +260,16 @@ fn report_leaves_every_file_and_refuses_another_folder() {
         size: Some([48, 36]),
         rounds: Some(1),
         fov: 60.0,
-        device: planecast::device::Device::Cpu,
+        device: planecast::render::device::Device::Cpu,
         base: Options::default(),
         budget_ms: Some(1e6),
         max_error: None,
     };
     let mut told = Vec::new();
-    let choice = planecast::report::report(&scene, &Default::default(), &job, &mut |what| told.push(what.to_owned()))
-        .unwrap()
-        .unwrap();
+    let choice =
+        planecast::measure::report::report(&scene, &Default::default(), &job, &mut |what| told.push(what.to_owned()))
+            .unwrap()
+            .unwrap();
     assert!(choice.contains("--device cpu"), "{choice}");
     assert!(
         told.iter().any(|t| t.contains("pose 4 of 4")) && told.iter().any(|t| t.contains("round 1 of 1")),
@@ -279,7 +280,7 @@ fn report_leaves_every_file_and_refuses_another_folder() {
     let json: serde_json::Value = serde_json::from_slice(&read("report.json")).unwrap();
     let rows = json["configurations"].as_array().unwrap();
     for row in rows {
-        assert!(page.contains(&planecast::page::escape(row["name"].as_str().unwrap())), "{row}");
+        assert!(page.contains(&planecast::measure::page::escape(row["name"].as_str().unwrap())), "{row}");
         assert!(row["mean"]["flip"].is_number() && row["ms"]["total"]["median"].is_number(), "{row}");
     }
     let mut table = csv::Reader::from_reader(&*read("report.csv")).into_records().filter(|r| r.is_ok()).count();
@@ -297,15 +298,22 @@ fn report_leaves_every_file_and_refuses_another_folder() {
 
     let before = std::fs::read(folder.join(journal::NAME)).unwrap();
     told.clear();
-    planecast::report::report(&scene, &Default::default(), &job, &mut |what| told.push(what.to_owned())).unwrap();
+    planecast::measure::report::report(&scene, &Default::default(), &job, &mut |what| told.push(what.to_owned()))
+        .unwrap();
     assert_eq!(std::fs::read(folder.join(journal::NAME)).unwrap(), before, "nothing was measured twice");
     assert!(told.iter().all(|t| !t.contains("pose")), "{told:?}");
 
-    let error = planecast::report::report(&scene, &Default::default(), &Job { folder: dir.path(), ..job }, &mut |_| {})
-        .unwrap_err();
+    let error = planecast::measure::report::report(
+        &scene,
+        &Default::default(),
+        &Job { folder: dir.path(), ..job },
+        &mut |_| {},
+    )
+    .unwrap_err();
     assert!(error.to_string().ends_with("is a folder with other files and no report's; name a new folder"), "{error}");
-    let error = planecast::report::report(&scene, &Default::default(), &Job { folder: &scene, ..job }, &mut |_| {})
-        .unwrap_err();
+    let error =
+        planecast::measure::report::report(&scene, &Default::default(), &Job { folder: &scene, ..job }, &mut |_| {})
+            .unwrap_err();
     assert!(error.to_string().ends_with("is a file; name a folder for the report"), "{error}");
 }
 

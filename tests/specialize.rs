@@ -3,8 +3,8 @@
 use glam::DVec3;
 use planecast::cpu::remap::color_of;
 use planecast::cpu::traverse::{PlaneBuffer, Real, traverse};
-use planecast::plane_setup::plane_setup;
-use planecast::specialize::{Specialization, Twin};
+use planecast::frame::plane_setup::plane_setup;
+use planecast::frame::specialize::{Specialization, Twin};
 use planecast::{Camera, Feature, Features, Options, Repeat, Resident};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, ColumnsBuilder, Encoding, Input, Run, Scene, build};
 use proptest::prelude::*;

@@ -3,10 +3,10 @@
 
 use glam::DVec3;
 use planecast::cpu::traverse::{PlaneBuffer, traverse};
-use planecast::plane_setup::plane_setup;
-use planecast::stability::measure::{Truth, cracks, measure, sane};
-use planecast::stability::walks::{Walks, walks};
-use planecast::stability::{Case, Drawer, Expect, Row, World, WorldName, cases};
+use planecast::frame::plane_setup::plane_setup;
+use planecast::measure::stability::measure::{Truth, cracks, measure, sane};
+use planecast::measure::stability::walks::{Walks, walks};
+use planecast::measure::stability::{Case, Drawer, Expect, Row, World, WorldName, cases};
 use planecast::{Camera, Culling, Frame, Options, Planes, Repeat, Resident, Shading};
 use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
 use std::collections::HashMap;

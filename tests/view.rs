@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use planecast::compare::{Difference, pictures};
+use planecast::measure::compare::{Difference, pictures};
 use serde_json::{Value, json};
 
 const PLANECAST: &str = env!("CARGO_BIN_EXE_planecast");

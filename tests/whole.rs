@@ -197,9 +197,9 @@ fn a_file_that_many_threads_miss_is_told_of_once() {
     const PAGES: usize = 64;
     if let Some(path) = std::env::var_os("PLANECAST_TEST_CUT") {
         // The program that ends: every thread in a page of its own that is gone.
-        planecast_encoder::guard::explain_lost_files();
+        planecast_encoder::store::guard::explain_lost_files();
         let file = fs::File::options().read(true).write(true).open(&path).unwrap();
-        let map = planecast_encoder::guard::Map::new(Path::new(&path), &file).unwrap();
+        let map = planecast_encoder::store::guard::Map::new(Path::new(&path), &file).unwrap();
         file.set_len(0).unwrap();
         let start = std::sync::Barrier::new(THREADS);
         std::thread::scope(|scope| {

@@ -9,18 +9,19 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::decode::decode_to_raw;
+use crate::encode::memory;
+use crate::encode::open::{self, Opened};
 use crate::encode::{self, EncodeOptions, Summary, Watch};
-use crate::open::{self, Opened};
-use crate::pieces::{Grey, Pieces, named};
-use crate::remote::{self, Here, Output};
+use crate::format::write::{keep_input, resolved};
+use crate::inspect::decode::decode_to_raw;
+use crate::inspect::info;
+use crate::inspect::verify;
+use crate::inspect::verify::Depth;
+use crate::model::pieces::{Grey, Pieces, named};
 use crate::source::{self, ReadOptions};
-use crate::verify::Depth;
-use crate::write::{keep_input, resolved};
-use crate::{
-    BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, guard, info, memory,
-    say, verify,
-};
+use crate::store::guard;
+use crate::store::remote::{self, Here, Output};
+use crate::{BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, say};
 
 /// Exit status where the input, the scene or the machine was at fault.
 pub const EXIT_INPUT: u8 = 1;

@@ -15,58 +15,27 @@
     allow(dead_code, reason = "a page reads scenes, and neither logs nor merges parts")
 )]
 
-pub mod about;
-pub mod arriving;
-pub mod build;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod cli;
-pub mod column_rle;
-pub mod columns;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod decode;
-#[cfg(not(target_arch = "wasm32"))]
 pub mod encode;
 pub mod error;
-pub mod exposure;
-pub mod features;
 pub mod format;
-pub mod forms;
-pub mod guard;
-pub mod info;
-pub mod input;
-mod lists;
-pub mod memory;
-pub mod metadata;
-pub mod mips;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod open;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod part;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod passing;
-pub mod pieces;
-pub mod read;
-#[cfg(not(target_arch = "wasm32"))]
-pub mod remote;
-pub mod run;
+pub mod inspect;
+pub mod model;
 pub mod say;
-pub mod scene;
-mod scratch;
 pub mod source;
-pub mod srgb;
-pub mod verify;
-pub mod write;
+pub mod store;
 
 #[cfg(test)]
 mod testing;
 
-pub use about::About;
-pub use arriving::ArrivingFile;
-pub use build::{BuildOptions, build};
-pub use columns::{Columns, ColumnsBuilder};
+pub use encode::build::{BuildOptions, build};
 pub use error::{Error, Result};
-pub use forms::{Feature, Features};
-pub use input::{Colors, Input};
-pub use read::PcastFile;
-pub use run::Run;
-pub use scene::{ColorMode, Encoding, Level, MipRule, Rgb, Scene};
+pub use format::arriving::ArrivingFile;
+pub use format::file::PcastFile;
+pub use format::forms::{Feature, Features};
+pub use model::about::About;
+pub use model::columns::{Columns, ColumnsBuilder};
+pub use model::input::{Colors, Input};
+pub use model::run::Run;
+pub use model::scene::{ColorMode, Encoding, Level, MipRule, Rgb, Scene};

@@ -18,13 +18,13 @@ enum Command {
 }
 
 #[global_allocator]
-static ALLOCATOR: planecast_encoder::guard::Allocator = planecast_encoder::guard::Allocator;
+static ALLOCATOR: planecast_encoder::store::guard::Allocator = planecast_encoder::store::guard::Allocator;
 
 fn main() -> ExitCode {
     // Faults are told in plain words. The library that says that memory is out looks here, whatever the program has to say.
     // SAFETY: no other thread has been started that could read the environment meanwhile.
     unsafe { std::env::set_var("RUST_BACKTRACE", "0") };
-    planecast_encoder::guard::explain_lost_files();
+    planecast_encoder::store::guard::explain_lost_files();
     let done = match Command::parse() {
         Command::Encode(args) => args.run(),
         Command::Merge(args) => args.run(),
@@ -36,7 +36,7 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            planecast_encoder::guard::last_word();
+            planecast_encoder::store::guard::last_word();
             planecast_encoder::say!("planecast-encode: {error}");
             cli::exit_status(&error).into()
         }

@@ -1,4 +1,4 @@
-// The scene's tables, all levels one after the other (src/resident.rs; a level's positions count from its own start).
+// The scene's tables, all levels one after the other (src/world/tables.rs; a level's positions count from its own start).
 // `columns(i)` and the like are written by src/gpu/shaders.rs: a table may be cut into several bindings.
 
 struct Level {

@@ -4,7 +4,7 @@
 //! upright (up, down) and along the column where they lie (left, right).
 
 use crate::cpu::remap::{HOLE, Row};
-use crate::plane_setup::{Setup, vertical};
+use crate::frame::plane_setup::{Setup, vertical};
 use rayon::prelude::*;
 
 /// Replaces each [`HOLE`] in `index`; returns how many there were, and how many are left (a fan without any covered pixel

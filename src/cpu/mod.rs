@@ -1,8 +1,11 @@
 //! The stages on the CPU, with rayon over planes or rows. Each has its GPU twin in `shaders/` under the same name.
 
+pub mod exact;
 pub mod gap_fill;
+pub mod pick;
 pub mod refine;
 pub mod remap;
+pub mod renderer;
 pub mod shade;
 pub mod shade_rays;
 pub mod sphere;

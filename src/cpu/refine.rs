@@ -5,11 +5,11 @@
 //! most are that are seen at a grazing angle. The samples around the pixel tell about how far away it is, so that a short
 //! walk at level 0 finds it. (Not in the papers.) Twin: `shaders/refine.wgsl`.
 
-use crate::camera::Camera;
 use crate::cpu::remap::{Pixels, ray_inverse};
 use crate::cpu::traverse::Real;
-use crate::plane_setup::{FARTHEST_VIEW, Setup};
-use crate::resident::{EMPTY, Resident, ResidentLevel};
+use crate::frame::camera::Camera;
+use crate::frame::plane_setup::{FARTHEST_VIEW, Setup};
+use crate::world::tables::{EMPTY, Resident, ResidentLevel};
 use planecast_encoder::Run;
 use rayon::prelude::*;
 
@@ -241,8 +241,8 @@ impl<'a> Walk<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exact::cast;
-    use crate::plane_setup::plane_setup;
+    use crate::cpu::exact::cast;
+    use crate::frame::plane_setup::plane_setup;
     use crate::{Features, Options, Repeat};
     use glam::DVec3;
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, Scene, build};

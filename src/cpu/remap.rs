@@ -5,11 +5,11 @@
 //! finite for each pixel but one at the vanishing point itself, which any plane of any fan shows.
 //! (Forstmann & Ohya 2009 §3.6, with the arrow turned round: they scatter textured lines, here pixels gather.)
 
-use crate::camera::Camera;
 use crate::cpu::refine::Doubt;
 use crate::cpu::traverse::{PlaneBuffer, Real, SKY, has_avx2};
-use crate::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, crowd, vertical};
-use crate::resident::Resident;
+use crate::frame::camera::Camera;
+use crate::frame::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, crowd, vertical};
+use crate::world::tables::Resident;
 use rayon::prelude::*;
 
 /// No plane passes within half a pixel.

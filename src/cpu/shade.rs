@@ -6,9 +6,9 @@
 //! pattern; each counts by how far it stands above the pixel's tangent plane (McGuire et al. 2011; the paper cites
 //! Mittring 2007, which needs no normals). Everything is f32 and a function of the pixel's neighbourhood alone.
 
-use crate::camera::Camera;
 use crate::cpu::traverse::has_avx2;
-use crate::options::{Options, Shading};
+use crate::frame::camera::Camera;
+use crate::frame::options::{Options, Shading};
 use glam::Vec3;
 use rayon::prelude::*;
 

@@ -1,14 +1,14 @@
 //! Stage `shade` for pictures that no pinhole makes: the same light, normals, occlusion, fog and sky as [`crate::cpu::shade`],
 //! from where pixels' rays end in the world.
 
-use crate::camera::Camera;
 use crate::cpu::shade::{
     AMBIENT, AMBIENT_SUN, LANES, Lanes, PHASES, SIGN, SKY_HORIZON, SKY_NADIR, SKY_ZENITH, SSAO_RADIUS, SSAO_STRENGTH,
     SUN, Scratch, ShadeParams, Split, greatest, least, mask, pack, select, spiral, towards,
 };
 use crate::cpu::traverse::has_avx2;
-use crate::options::{Options, Shading};
-use crate::projection::Rays;
+use crate::frame::camera::Camera;
+use crate::frame::options::{Options, Shading};
+use crate::frame::projection::Rays;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 

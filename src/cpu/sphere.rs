@@ -1,19 +1,19 @@
-//! Stages `traverse` and `remap` of the whole sphere around an eye ([`crate::plane_setup::sphere`]): planes are walked where a
+//! Stages `traverse` and `remap` of the whole sphere around an eye ([`crate::frame::plane_setup::sphere`]): planes are walked where a
 //! picture shows what nobody filled, and kept; any projection's pixels look them up by their rays.
 //!
 //! A pixel finds its plane by the azimuth of its ray, its sample by the slope; from there on it does what
 //! [`crate::cpu::remap::remap_retest`] does: its own ray tests the voxels of the samples around.
 
-use crate::camera::Camera;
 use crate::cpu::refine::{self, Doubt};
 use crate::cpu::remap::{BLOCK, Boxes, MISS, Pixels, SETTLED, all_sky, color_of, missed, ray_inverse};
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY, has_avx2};
-use crate::options::{Options, Remap};
-use crate::plane_setup::Setup;
-use crate::plane_setup::sphere::{BANDS, Layout, sphere_setup};
-use crate::projection::Rays;
-use crate::resident::Resident;
-use crate::specialize::{Specialization, Twin};
+use crate::frame::camera::Camera;
+use crate::frame::options::{Options, Remap};
+use crate::frame::plane_setup::Setup;
+use crate::frame::plane_setup::sphere::{BANDS, Layout, sphere_setup};
+use crate::frame::projection::Rays;
+use crate::frame::specialize::{Specialization, Twin};
+use crate::world::tables::Resident;
 use glam::DVec3;
 use rayon::prelude::*;
 

@@ -17,10 +17,10 @@
 
 mod ground;
 
-use crate::options::Culling;
-use crate::plane_setup::{Plane, Setup};
-use crate::resident::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
-use crate::specialize::{Feature, Features, Specialization};
+use crate::frame::options::Culling;
+use crate::frame::plane_setup::{Plane, Setup};
+use crate::frame::specialize::{Feature, Features, Specialization};
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
 use planecast_encoder::Run;
 use rayon::prelude::*;
 
@@ -1350,7 +1350,7 @@ mod tests {
     use super::has_avx2;
     use crate::{Camera, CpuRenderer, Feature, Features, Frame, Options, Outputs, Remap, Resident};
     use glam::DVec3;
-    use planecast_encoder::features::Named;
+    use planecast_encoder::format::features::Named;
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
     use std::cell::Cell;
 

@@ -1,34 +1,33 @@
 //! The stages on the GPU, through wgpu compute shaders. A frame stays on the device from camera to shaded picture.
 //!
-//! [`crate::plane_setup`] runs on the host, in f64, for both twins. The shaders in `shaders/` are the twins of
+//! [`crate::frame::plane_setup`] runs on the host, in f64, for both twins. The shaders in `shaders/` are the twins of
 //! [`crate::cpu`]; [`Kernel`] says how `traverse` is spread over the device. Scene tables and frames are checked against
 //! the adapter's limits before memory is asked for.
 
-pub mod bench;
 mod engine;
+mod pool;
 pub mod present;
-mod resident;
 pub mod shaders;
 pub mod types;
 
-use crate::camera::Camera;
 use crate::clock::Instant;
+use crate::cpu::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::cpu::shade;
 use crate::cpu::traverse::PlaneBuffer;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, StageTimes, Stats};
-use crate::options::{Options, Shading};
-use crate::plane_setup::{Setup, plane_setup};
-use crate::projection::Projection;
-use crate::renderer::{Outputs, check, frame_stats, inside_solid};
-use crate::resident::Resident;
-use crate::specialize::{Feature, Specialization, Twin};
+use crate::frame::camera::Camera;
+use crate::frame::options::{Options, Shading};
+use crate::frame::picture::{Frame, StageTimes, Stats};
+use crate::frame::plane_setup::{Setup, plane_setup};
+use crate::frame::projection::Projection;
+use crate::frame::specialize::{Feature, Specialization, Twin};
+use crate::world::tables::Resident;
 pub use engine::Shader;
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
+use pool::GpuResident;
 use present::ByteOrder;
 use rayon::prelude::*;
-use resident::GpuResident;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, mpsc};

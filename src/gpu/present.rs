@@ -9,13 +9,13 @@ use planecast_encoder::Scene;
 use super::engine::Engine;
 pub use super::engine::{Device, Failure};
 use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts, Sent};
-use crate::camera::Camera;
 use crate::clock::Instant;
+use crate::cpu::renderer::Outputs;
 use crate::error::{Error, Result};
-use crate::frame::Stats;
-use crate::options::Options;
-use crate::renderer::Outputs;
-use crate::resident::Resident;
+use crate::frame::camera::Camera;
+use crate::frame::options::Options;
+use crate::frame::picture::Stats;
+use crate::world::tables::Resident;
 
 impl Device {
     /// A device that was asked for with [`Device::wishes`].
@@ -535,8 +535,8 @@ mod tests {
     use planecast_encoder::{BuildOptions, build};
 
     use super::*;
+    use crate::film::tour::{self, View};
     use crate::gpu::engine::instance;
-    use crate::tour::{self, View};
 
     #[test]
     fn present_shader_is_valid() {

@@ -7,7 +7,7 @@
 use crate::cpu::remap::HOLE;
 use crate::cpu::{refine, shade};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
-use crate::resident::{BLOCK_SHIFT, EMPTY, UNPAINTED};
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
 use wgpu::naga;
 

@@ -1,11 +1,11 @@
 //! What host and shaders exchange. The WGSL sides stand in `shaders/shared/`; tests below join them field by field.
 
-use crate::camera::Camera;
 use crate::cpu::remap::Row;
 use crate::cpu::shade::ShadeParams;
-use crate::options::Options;
-use crate::plane_setup::{AT_ONCE, DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
-use crate::resident::Resident;
+use crate::frame::camera::Camera;
+use crate::frame::options::Options;
+use crate::frame::plane_setup::{AT_ONCE, DOWN, Fan, LEFT, RIGHT, Setup, UP, uncrowd, vertical};
+use crate::world::tables::Resident;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
@@ -38,7 +38,7 @@ pub struct Level {
     pub _pad0: u32,
 }
 
-/// See [`crate::plane_setup::Plane`].
+/// See [`crate::frame::plane_setup::Plane`].
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub struct Plane {
@@ -62,7 +62,7 @@ pub struct Plane {
     pub _pad0: u32,
 }
 
-/// See [`crate::plane_setup::Fan`].
+/// See [`crate::frame::plane_setup::Fan`].
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub struct FanParams {
@@ -224,7 +224,7 @@ impl Upload {
 /// The order in which planes are walked, those that reach farthest first: whatever runs to the end of the view is then not
 /// begun last. Planes that reach about as far stay side by side, where they meet the same columns.
 fn turns(setup: &Setup, frame: &FrameParams) -> Vec<u32> {
-    let reach = |p: &crate::plane_setup::Plane| {
+    let reach = |p: &crate::frame::plane_setup::Plane| {
         let sight = |u: u32| (p.b - f64::from(u) * p.e, f64::from(u) * p.c - p.a);
         let ((t_low, h_low), (t_high, h_high)) = (sight(p.first), sight(p.end));
         let mut end = p.t_end;
@@ -267,7 +267,7 @@ fn stripes(fan: &Fan) -> impl IndexedParallelIterator<Item = [[u32; 2]; 2]> + '_
 }
 
 impl Plane {
-    fn new(p: &crate::plane_setup::Plane) -> Plane {
+    fn new(p: &crate::frame::plane_setup::Plane) -> Plane {
         let dir = p.dir.map(|d| d as f32);
         Plane {
             dir,
@@ -351,7 +351,7 @@ fn frame_params(resident: &Resident, setup: &Setup, camera: &Camera, options: &O
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plane_setup::plane_setup;
+    use crate::frame::plane_setup::plane_setup;
     use planecast_encoder::source::procedural::{Kind, procedural};
     use planecast_encoder::{BuildOptions, build};
 
@@ -361,7 +361,7 @@ mod tests {
         let resident = Resident::new(&scene);
         let eye = glam::DVec3::new(20.3, 70.2, 30.1);
         let camera = Camera { eye, yaw: 20.0, pitch: -35.0, roll: 25.0, fov: 70.0, width: 160, height: 120 };
-        let repeat = crate::options::Repeat { x: true, z: true };
+        let repeat = crate::frame::options::Repeat { x: true, z: true };
         let options = Options { repeat, view_distance: 9000.0, ..Options::default() };
         let setup = plane_setup(&resident, &camera, &options);
         let turns: Vec<usize> =

@@ -5,9 +5,9 @@ use std::sync::{Arc, mpsc};
 
 use winit::window::Window;
 
-use super::drawer::Drawer;
 use super::script::Trouble;
 use crate::gpu::present::{ByteOrder, Device, Presenter, Shaded, Way};
+use crate::render::drawer::Drawer;
 use crate::{Error, Result};
 
 /// What is shown.

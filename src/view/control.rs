@@ -6,8 +6,8 @@
 use glam::DVec3;
 use planecast_encoder::Columns;
 
-use crate::options::Repeat;
-use crate::path::Pose;
+use crate::film::path::Pose;
+use crate::frame::options::Repeat;
 
 /// Degrees that a pixel of mouse movement turns at a field of view of 60 degrees.
 const DEGREES_A_PIXEL: f64 = 0.12;
@@ -196,7 +196,7 @@ impl Control {
         }
         let degrees = DEGREES_A_PIXEL * self.pose.fov / 60.0;
         // As seen: a rolled camera turns about its own axes, as far as yaw and pitch go.
-        let (s, c) = crate::camera::sin_cos_degrees(self.pose.roll);
+        let (s, c) = crate::frame::camera::sin_cos_degrees(self.pose.roll);
         let (dx, dy) = (dx * c + dy * s, dy * c - dx * s);
         self.pose.yaw = (self.pose.yaw + dx * degrees).rem_euclid(360.0);
         self.pose.pitch = (self.pose.pitch - dy * degrees).clamp(-90.0, 90.0);
@@ -282,7 +282,7 @@ impl Control {
     }
 
     fn walk(&mut self, along: f64, across: f64, speed: f64, dt: f64, ground: &Ground<'_>) {
-        let (s, c) = crate::camera::sin_cos_degrees(self.pose.yaw);
+        let (s, c) = crate::frame::camera::sin_cos_degrees(self.pose.yaw);
         let way = DVec3::new(s, 0.0, -c) * along + DVec3::new(c, 0.0, s) * across;
         let moved = way.normalize_or_zero() * speed * dt;
         // A fall that suits voxels of which a body is some two tall: 25 voxels/s².

@@ -9,7 +9,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-use crate::path::Pose;
+use crate::film::path::Pose;
 use crate::{Result, output};
 use std::io::Write;
 

@@ -1,8 +1,8 @@
 //! The error map: where a frame shows another voxel than the exact reference.
 
-use crate::compare::{Agreement, compare};
 use crate::cpu::traverse::SKY;
-use crate::frame::Frame;
+use crate::frame::picture::Frame;
+use crate::measure::compare::{Agreement, compare};
 
 /// Another voxel, and none within a pixel; another voxel, the reference's within a pixel; sky in one alone.
 const WRONG: [u8; 4] = [230, 40, 40, 255];
@@ -41,7 +41,7 @@ pub fn error_map(frame: &Frame, reference: &Frame) -> (Vec<[u8; 4]>, Agreement) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Stats;
+    use crate::frame::picture::Stats;
 
     fn frame(voxel: Vec<[i32; 4]>) -> Frame {
         let n = voxel.len();

@@ -9,7 +9,7 @@
 //! | [`last`] | the last view of each scene |
 //! | [`map`] | a frame and the exact one → a picture of the errors |
 //! | [`script`] | what tests and demonstrations do in the window |
-//! | [`drawer`] | whatever draws a scene: the GPU, the CPU, or the exact reference |
+//! | [`crate::render::drawer`] | whatever draws a scene: the GPU, the CPU, or the exact reference |
 //! | `window`, `panel`, `canvas` | the window, what egui draws in it, the surface below (feature `view`) |
 //!
 //! There is no second renderer: frames are those of [`crate::GpuRenderer`], left on the device and shown by one copy
@@ -18,8 +18,6 @@
 #[cfg(feature = "view")]
 mod canvas;
 pub mod control;
-#[cfg(feature = "gpu")]
-pub mod drawer;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod last;
 pub mod map;
@@ -37,9 +35,9 @@ use std::path::PathBuf;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::Result;
 #[cfg(not(target_arch = "wasm32"))]
-use crate::device::Device;
+use crate::frame::options::Options;
 #[cfg(not(target_arch = "wasm32"))]
-use crate::options::Options;
+use crate::render::device::Device;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::world::OpenOptions;
 
@@ -55,7 +53,7 @@ pub struct Settings {
     pub yaw: Option<f64>,
     pub pitch: Option<f64>,
     pub roll: Option<f64>,
-    pub aim: crate::aim::AimArgs,
+    pub aim: crate::frame::aim::AimArgs,
     pub fov: f64,
     pub device: Device,
     pub kernel: Option<String>,
@@ -85,7 +83,7 @@ pub fn view(settings: Settings) -> Result<()> {
 }
 
 /// Flags that reproduce a view with `render`, `--eye` to `--fov`, as exact as they can be typed.
-pub fn pose_flags(pose: &crate::path::Pose) -> String {
-    let crate::path::Pose { eye, yaw, pitch, roll, fov } = pose;
+pub fn pose_flags(pose: &crate::film::path::Pose) -> String {
+    let crate::film::path::Pose { eye, yaw, pitch, roll, fov } = pose;
     format!("--eye {},{},{} --yaw {yaw} --pitch {pitch} --roll {roll} --fov {fov}", eye.x, eye.y, eye.z)
 }

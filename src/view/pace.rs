@@ -3,8 +3,8 @@
 //! The rungs are those of the report in `benches/runs/2026-11-22-report`, where pixels are given up before planes: 75 and
 //! 50 % of the resolution save 43 and 71 % of a frame's time on two cores, half the planes 9 to 15 %.
 
-use crate::options::Options;
-use crate::preset::Preset;
+use crate::frame::options::Options;
+use crate::frame::preset::Preset;
 
 /// One way to draw: a share of the window's pixels a side, and a preset, or the options as they are asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 
 use egui::{Align2, Color32, RichText, Ui};
-use planecast_encoder::features::Named;
+use planecast_encoder::format::features::Named;
 
 use super::control::{Control, Mode};
-use super::drawer::Draws;
-use crate::frame::{StageTimes, Stats};
-use crate::options::{Options, Planes, Remap, Shading};
-use crate::preset::Preset;
+use crate::frame::options::{Options, Planes, Remap, Shading};
+use crate::frame::picture::{StageTimes, Stats};
+use crate::frame::preset::Preset;
+use crate::render::drawer::Draws;
 use crate::world::World;
 use crate::{Feature, Kernel};
 
@@ -379,7 +379,7 @@ fn scene(ui: &mut Ui, world: &World, on_gpu: u64) {
     let [x, y, z] = world.resident.dims;
     ui.label(RichText::new(world.name()).strong());
     ui.label(format!("{x} × {y} × {z} voxels, {} levels", world.resident.levels.len()));
-    let bytes = planecast_encoder::memory::display;
+    let bytes = planecast_encoder::encode::memory::display;
     let b = &world.bytes;
     if b.total > 0 {
         ui.label(format!(

@@ -1,6 +1,6 @@
 //! Recording a flight as the path that `fly --path` takes, and playing it.
 
-use crate::path::{Keyframe, Path, Pose};
+use crate::film::path::{Keyframe, Path, Pose};
 
 /// Seconds between keyframes.
 const EVERY: f64 = 0.25;

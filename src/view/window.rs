@@ -16,25 +16,26 @@ use winit::window::{CursorGrabMode, Fullscreen, Window, WindowId};
 
 use super::canvas::{Canvas, Painting, Picture, Plain, Shown};
 use super::control::{Control, Ground, Mode};
-use super::drawer::{Drawer, Drawn, Draws};
 use super::map::{LEGEND, error_map};
 use super::pace::Pace;
 use super::panel::{self, Cost, Panel, Subject, Wish};
 use super::record::Recorder;
 use super::script::{self, Action, Script};
 use super::{Settings, last, pose_flags};
-use crate::aim::Typed;
-use crate::camera::Camera;
-use crate::device::Device;
-use crate::frame::{Frame, Stats};
+use crate::cpu::exact;
+use crate::cpu::renderer::{CpuRenderer, Outputs};
+use crate::film::path::{Path as Route, Pose};
+use crate::film::tour::{self, View};
+use crate::frame::aim::Typed;
+use crate::frame::camera::Camera;
+use crate::frame::options::Options;
+use crate::frame::picture::{Frame, Stats};
+use crate::frame::preset::Preset;
 use crate::gpu::present::Way;
-use crate::options::Options;
-use crate::path::{Path as Route, Pose};
-use crate::preset::Preset;
-use crate::renderer::{CpuRenderer, Outputs};
-use crate::tour::{self, View};
+use crate::render::device::Device;
+use crate::render::drawer::{Drawer, Drawn, Draws};
 use crate::world::{Opening, World};
-use crate::{Error, Kernel, Result, cli, exact, output};
+use crate::{Error, Kernel, Result, cli, output};
 
 /// Frames that are drawn after the last change, so that figures arrive and egui comes to rest.
 const LINGER: u32 = 6;

@@ -2,7 +2,7 @@
 
 use planecast::Frame;
 #[allow(unused_imports, reason = "each test binary uses a part")]
-pub use planecast::compare::{Agreement, compare};
+pub use planecast::measure::compare::{Agreement, compare};
 
 const SKY: [i32; 4] = [-1; 4];
 

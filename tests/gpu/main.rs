@@ -12,9 +12,9 @@ use compare::{Difference, compare};
 use glam::DVec3;
 use planecast::cpu::shade::{Scratch, ShadeParams, shade};
 use planecast::cpu::traverse::{PlaneBuffer, traverse};
-use planecast::device::{Device, Renderer};
+use planecast::frame::plane_setup::plane_setup;
 use planecast::gpu::Begin;
-use planecast::plane_setup::plane_setup;
+use planecast::render::device::{Device, Renderer};
 use planecast::{
     Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap,
     Repeat, Resident, Shading,

@@ -1,10 +1,10 @@
 //! Whatever is left out, pictures stay the same, bit for bit.
 
 use super::*;
-use planecast::plane_setup::plane_setup;
-use planecast::specialize::{Specialization, Twin};
+use planecast::frame::plane_setup::plane_setup;
+use planecast::frame::specialize::{Specialization, Twin};
 use planecast::{Feature, Features};
-use planecast_encoder::features::Named;
+use planecast_encoder::format::features::Named;
 use std::collections::HashSet;
 use std::sync::Arc;
 

@@ -12,14 +12,17 @@ use std::sync::mpsc::{Receiver, channel};
 
 use glam::DVec3;
 use planecast::World;
-use planecast::frame::Stats;
+use planecast::cpu::exact;
+use planecast::film::path::Pose;
+use planecast::film::tour::{self, View};
+use planecast::frame::picture::Stats;
 use planecast::gpu::present::{ByteOrder, Device, Presenter};
-use planecast::path::Pose;
-use planecast::tour::{self, View};
+use planecast::render::drawer::{Drawer, Drawn, Draws};
 use planecast::view::control::{Control, Ground, Mode};
-use planecast::view::drawer::{Drawer, Drawn, Draws};
-use planecast::{CpuRenderer, Kernel, Options, Outputs, exact};
-use planecast_encoder::{ArrivingFile, Scene, arriving, write};
+use planecast::{CpuRenderer, Kernel, Options, Outputs};
+use planecast_encoder::format::arriving;
+use planecast_encoder::format::write;
+use planecast_encoder::{ArrivingFile, Scene};
 use serde_json::json;
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
@@ -207,7 +210,7 @@ impl Page {
 
     /// One of the presets, by name; false where there is none of it.
     pub fn preset(&mut self, name: &str) -> bool {
-        let preset = planecast::preset::Preset::ALL.into_iter().find(|p| p.name() == name);
+        let preset = planecast::frame::preset::Preset::ALL.into_iter().find(|p| p.name() == name);
         self.options = preset.map_or(self.options, |p| p.options(self.options));
         preset.is_some()
     }

@@ -10,8 +10,8 @@
 use std::path::Path;
 
 use super::{ReadOptions, Up, world_dims};
-use crate::about::Kind;
-use crate::pieces::InMemory;
+use crate::model::about::Kind;
+use crate::model::pieces::InMemory;
 use crate::{About, Colors, Columns, Error, Input, Result};
 
 /// Lines of a header.

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::spots::Spot;
 use super::world_dims;
-use crate::pieces::InMemory;
+use crate::model::pieces::InMemory;
 use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Most columns of a model: few bytes can place two voxels very far apart.

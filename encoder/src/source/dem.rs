@@ -9,7 +9,7 @@ use super::geo::{Crs, Length, Model, Place};
 use super::heightmap::{Map, Up};
 use super::heights::Heights;
 use crate::About;
-use crate::about::Kind;
+use crate::model::about::Kind;
 use crate::{Error, Result};
 
 const RECORD: usize = 1024;

@@ -14,8 +14,8 @@ use dicom_pixeldata::PixelDecoder;
 use super::place::Place;
 use super::volume::{Data, Facts, Stored, Volume};
 use super::{Dtype, ReadOptions, Up, guarded, map, world_dims};
-use crate::about::Kind;
-use crate::scratch;
+use crate::model::about::Kind;
+use crate::store::scratch;
 use crate::{About, Error, Result};
 
 mod tags {

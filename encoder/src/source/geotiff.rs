@@ -289,7 +289,10 @@ pub(super) fn read(path: &Path, input: Box<dyn Stream + '_>, len: usize, opts: &
         eight_bit: image.bits <= 8 && bands.rgb.is_none() && meaning.scale == 1.0,
         nodata_known: nodata.is_some() || masked,
         rules,
-        about: About { left_out, ..About::new(crate::about::Kind::Terrain, if geo { "GeoTIFF" } else { "TIFF" }) },
+        about: About {
+            left_out,
+            ..About::new(crate::model::about::Kind::Terrain, if geo { "GeoTIFF" } else { "TIFF" })
+        },
         ..Map::of(heights)
     })
 }

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use super::mesh::{Mesh, PLAIN, Paint};
 use super::texture::{Texture, Textures, Wrap};
-use crate::srgb::from_linear;
+use crate::model::srgb::from_linear;
 use crate::{Error, Result};
 
 /// Most corners that instances of a mesh make.

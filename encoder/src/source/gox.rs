@@ -14,8 +14,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use super::cells::Placed;
-use crate::about::Kind;
-use crate::pieces::InMemory;
+use crate::model::about::Kind;
+use crate::model::pieces::InMemory;
 use crate::{About, Error, Result, Rgb};
 
 const SIDE: i64 = 16;

@@ -8,7 +8,7 @@ use super::geotiff::beside;
 use super::heightmap::{Map, Up};
 use super::heights::Heights;
 use super::{Dtype, ReadOptions};
-use crate::about::Kind;
+use crate::model::about::Kind;
 use crate::{About, Error, Result};
 
 /// Head of an ESRI ASCII grid.

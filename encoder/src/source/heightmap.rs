@@ -28,8 +28,8 @@ use super::heights::Heights;
 use super::pixels::{Pixels, Png, Stream, stream};
 use super::relief::{self, Colors, Exaggeration, Means, Ramp};
 use super::{HeightCode, ReadOptions, guarded, world_dims};
-use crate::about::Kind;
-use crate::pieces::{ColumnColorsFn, RowColors, Rows};
+use crate::model::about::Kind;
+use crate::model::pieces::{ColumnColorsFn, RowColors, Rows};
 use crate::{About, ColumnsBuilder, Error, Result, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::scratch::{self as file, File, read_at, write_at};
+use crate::store::scratch::{self as file, File, read_at, write_at};
 use crate::{Error, Result};
 
 /// A grid of heights, NaN where there is no data.

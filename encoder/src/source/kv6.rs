@@ -17,8 +17,8 @@ use std::path::Path;
 
 use super::cells;
 use super::spots::Spot;
-use crate::about::Kind;
-use crate::pieces::InMemory;
+use crate::model::about::Kind;
+use crate::model::pieces::InMemory;
 use crate::{About, Error, Result, Rgb, Run};
 
 const PALETTE: usize = 768;

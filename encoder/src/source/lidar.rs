@@ -14,7 +14,7 @@ use std::path::Path;
 use super::geo::{Crs, Model};
 use super::points::{Cloud, Has, Point, Points, Spacing};
 use super::{ReadOptions, Up, guarded};
-use crate::about::Kind;
+use crate::model::about::Kind;
 use crate::{About, Error, Result};
 
 /// Bytes of points that are read together: a record may claim 64 KiB.

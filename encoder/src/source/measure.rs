@@ -63,7 +63,7 @@ const RAMP: [[f64; 3]; 6] = [
 impl Paint {
     pub fn color(self, value: f64) -> Rgb {
         match self {
-            Paint::None => crate::build::UNCOLORED,
+            Paint::None => crate::encode::build::UNCOLORED,
             Paint::Ramp(low, high) => {
                 let at = if high > low { ((value - low) / (high - low)).clamp(0.0, 1.0) } else { 1.0 };
                 let at = at * (RAMP.len() - 1) as f64;

@@ -16,8 +16,8 @@ use super::fill::{self, Inside};
 use super::spots::{self, Spot};
 use super::texture::Texture;
 use super::{ReadOptions, Up, world_dims};
-use crate::about::Kind;
-use crate::pieces::Pieces;
+use crate::model::about::Kind;
+use crate::model::pieces::Pieces;
 use crate::{About, Error, Input, Result, Rgb};
 
 /// Voxels along the longest side where nobody says.

@@ -13,7 +13,7 @@ use super::place::Place;
 use super::values::{first_of, joined, numbers, of_text};
 use super::volume::{Data, Facts, Stored, Volume, byte_len, unpack};
 use super::{Dtype, ReadOptions, map};
-use crate::about::{About, Kind};
+use crate::model::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Whether a file that begins so is one of these.

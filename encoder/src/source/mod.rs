@@ -104,10 +104,10 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::guard::Map;
-use crate::pieces::{self, Pieces};
+use crate::model::pieces::{self, Pieces};
+use crate::store::guard::Map;
 #[cfg(not(target_arch = "wasm32"))]
-use crate::remote;
+use crate::store::remote;
 use crate::{Error, Input, Result};
 
 pub use relief::Exaggeration;

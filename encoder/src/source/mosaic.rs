@@ -10,7 +10,7 @@ use super::heightmap::{self, Map, Up};
 use super::heights::Heights;
 use super::pixels::stream;
 use super::{ReadOptions, geotiff, grids, guarded, map, world_dims};
-use crate::pieces::Rows;
+use crate::model::pieces::Rows;
 use crate::{Error, Result};
 
 /// How far a tile may be off the grid of the first, in pixels, before it is said.

@@ -9,7 +9,7 @@ use super::place::Place;
 use super::values::Unpacked;
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip, gunzip_prefix};
 use super::{Dtype, ReadOptions};
-use crate::about::{About, Kind};
+use crate::model::about::{About, Kind};
 use crate::{Error, Result};
 
 const HEADER: usize = 1024;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use super::place::Place;
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip, gunzip_prefix};
 use super::{Dtype, ReadOptions, map};
-use crate::about::{About, Kind};
+use crate::model::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Bytes of a NIfTI-2 header, the longer one.

@@ -13,8 +13,9 @@ use super::heights::Heights;
 use super::tiff_pages::half;
 use super::volume::{Data, Sample, Stored, Volume, byte_len, with_sample};
 use super::{Dtype, ReadOptions, world_dims};
-use crate::about::Kind;
-use crate::{About, Error, Result, scratch};
+use crate::model::about::Kind;
+use crate::store::scratch;
+use crate::{About, Error, Result};
 
 /// NumPy: an array of shape (z, y, x).
 pub(super) fn npy<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {

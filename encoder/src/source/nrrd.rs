@@ -9,7 +9,7 @@ use super::place::Place;
 use super::values::{first_of, joined, numbers, of_text};
 use super::volume::{Data, Facts, Stored, Volume, byte_len, gunzip};
 use super::{Dtype, ReadOptions, map};
-use crate::about::{About, Kind};
+use crate::model::about::{About, Kind};
 use crate::{Error, Result};
 
 /// NRRD: text header, values raw or gzip, in the same file or a detached one.

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use super::points::{Cloud, Has, Point, Points, Spacing};
 use super::{ReadOptions, Up};
-use crate::about::Kind;
+use crate::model::about::Kind;
 use crate::{About, Error, Result};
 
 /// LZF makes at most 264 bytes of 3.

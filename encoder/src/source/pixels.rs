@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
 use super::{heightmap, map};
-use crate::scratch::{self, File as Unnamed, read_at, write_at};
+use crate::store::scratch::{self, File as Unnamed, read_at, write_at};
 use crate::{Error, Result, Rgb};
 
 /// Where the bytes of an image come from.

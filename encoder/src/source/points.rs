@@ -26,9 +26,9 @@ use super::mesh::Mesh;
 use super::spots::{self, Spot};
 use super::{ReadOptions, Up, world_dims};
 use crate::format::TILE;
-use crate::pieces::Pieces;
-use crate::scratch::{self as file, File, read_at};
-use crate::srgb::Mean;
+use crate::model::pieces::Pieces;
+use crate::model::srgb::Mean;
+use crate::store::scratch::{self as file, File, read_at};
 use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Points of a list that are written together.

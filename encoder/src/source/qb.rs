@@ -12,8 +12,8 @@
 use std::path::Path;
 
 use super::cells::Placed;
-use crate::about::Kind;
-use crate::pieces::InMemory;
+use crate::model::about::Kind;
+use crate::model::pieces::InMemory;
 use crate::{About, Error, Result};
 
 const REPEAT: u32 = 2;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::srgb::Mean;
+use crate::model::srgb::Mean;
 use crate::{Colors, ColumnsBuilder, Input, Rgb, Run};
 
 /// A solid voxel of a piece. The order is that of columns, then of height.

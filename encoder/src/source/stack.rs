@@ -14,8 +14,8 @@ use super::heightmap::plausible;
 use super::tiff_pages::{Ifd, Page, Tiff, luma, tag};
 use super::volume::{Data, Stored, Volume};
 use super::{Dtype, ReadOptions, guarded, map, world_dims};
-use crate::about::Kind;
-use crate::scratch::{self as file, File};
+use crate::model::about::Kind;
+use crate::store::scratch::{self as file, File};
 use crate::{About, Error, Result};
 
 /// Where a slice is.
@@ -572,7 +572,7 @@ fn volume<'a>(path: &Path, tiff: &Tiff<'a>, plan: Plan, opts: &ReadOptions) -> R
         return Volume::new(path, stored, opts);
     }
     let mut out = Scratch::new(path, opts)?;
-    let mut other: Option<(String, crate::guard::Map)> = None;
+    let mut other: Option<(String, crate::store::guard::Map)> = None;
     for (n, slice) in slices.iter().enumerate() {
         let Some(name) = &slice.file else {
             if slice.plane > 0 {

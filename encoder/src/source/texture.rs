@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use super::mesh::Mesh;
-use crate::srgb::{LINEAR, Mean, from_linear};
+use crate::model::srgb::{LINEAR, Mean, from_linear};
 use crate::{Result, Rgb};
 
 /// What lies beyond a picture's edges.

@@ -12,7 +12,7 @@ use std::io::Read;
 use std::path::Path;
 
 use super::Dtype;
-use crate::scratch::read_at;
+use crate::store::scratch::read_at;
 use crate::{Error, Result};
 
 /// Bytes of a band of rows that are unpacked at once.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::Dtype;
 use super::volume::Data;
-use crate::scratch::{self, File};
+use crate::store::scratch::{self, File};
 use crate::{Error, Result};
 
 /// A file without a name that is being filled.

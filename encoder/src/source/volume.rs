@@ -20,10 +20,11 @@ use rayon::prelude::*;
 use super::measure::{Meant, Measured, Paint, Solid};
 use super::place::{self, Along, Oriented, Place};
 use super::{Dtype, ReadOptions, Up, world_dims};
-use crate::about::Kind;
-use crate::pieces::Pieces;
-use crate::scratch::{self, File, read_at};
-use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run, exposure};
+use crate::model::about::Kind;
+use crate::model::exposure;
+use crate::model::pieces::Pieces;
+use crate::store::scratch::{self, File, read_at};
+use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Run};
 
 /// A dense volume as a file holds it.
 pub(super) struct Stored<'a> {
@@ -75,7 +76,7 @@ pub(super) enum Data<'a> {
     /// The same of an object elsewhere.
     #[cfg(feature = "object-store")]
     Object {
-        object: Box<crate::remote::Object>,
+        object: Box<crate::store::remote::Object>,
         at: u64,
         len: u64,
     },
@@ -178,7 +179,7 @@ pub(super) fn in_object(
     path: &Path,
     bytes: &[u8],
     format: super::Format,
-    object: crate::remote::Object,
+    object: crate::store::remote::Object,
     opts: &ReadOptions,
 ) -> Result<Option<Volume<'static>>> {
     let stored = match format {

@@ -13,8 +13,8 @@ use dot_vox::{DotVoxData, SceneNode};
 
 use super::spots::Spot;
 use super::{cells, guarded};
-use crate::about::Kind;
-use crate::pieces::InMemory;
+use crate::model::about::Kind;
+use crate::model::pieces::InMemory;
 use crate::{About, Error, Result};
 
 /// Largest side of a model that its one-byte coordinates can reach.

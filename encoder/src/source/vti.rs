@@ -16,7 +16,7 @@ use super::place::Place;
 use super::values::{Unpacked, first_of, numbers, of_text};
 use super::volume::{Data, Facts, Stored, Volume, byte_len, unpack};
 use super::{Dtype, ReadOptions};
-use crate::about::{About, Kind};
+use crate::model::about::{About, Kind};
 use crate::{Error, Result};
 
 /// Whether a file that begins so is one of VTK's in XML.

@@ -11,8 +11,8 @@
 use std::path::Path;
 
 use super::world_dims;
-use crate::about::Kind;
-use crate::pieces::InMemory;
+use crate::model::about::Kind;
+use crate::model::pieces::InMemory;
 use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// First word of a file with a header.

@@ -16,8 +16,8 @@ use zarrs::filesystem::FilesystemStore;
 use super::tiff_pages::half;
 use super::volume::{Data, Stored, Volume};
 use super::{Dtype, ReadOptions, Up, guarded, world_dims};
-use crate::about::Kind;
-use crate::scratch::{self, write_at};
+use crate::model::about::Kind;
+use crate::store::scratch::{self, write_at};
 use crate::{About, Error, Result};
 
 /// Bytes of one chunk: what is unpacked at once.

@@ -18,10 +18,10 @@
 //! gap (behind empty columns), and goes on in the general way there. Counters are not those of the general walk: what is not
 //! looked at is not counted, and of a strip all that the plane passes is.
 //!
-//! [`Feature::Horizon`]: crate::specialize::Feature::Horizon
+//! [`Feature::Horizon`]: crate::frame::specialize::Feature::Horizon
 
 use super::{Counters, LANES as FILL, Real, SKY, Start, Task1, Walk, low_bits, scaled};
-use crate::resident::{BLOCK_SHIFT, Paint, ResidentLevel, Table};
+use crate::world::tables::{BLOCK_SHIFT, Paint, ResidentLevel, Table};
 use planecast_encoder::Run;
 
 /// Slices of a strip: as many columns as a block has a side.

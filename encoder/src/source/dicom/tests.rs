@@ -124,7 +124,7 @@ fn folder(slices: &[Slice]) -> tempfile::TempDir {
 fn read(path: &Path, flags: &str) -> (Input, About) {
     // As they are stored: where a patient's head is, tests of other formats ask.
     let pieces = open_pieces(path, &opts(&format!("{flags} --up y --spacing as-is"))).unwrap();
-    (crate::pieces::whole(&*pieces).unwrap(), pieces.about())
+    (crate::model::pieces::whole(&*pieces).unwrap(), pieces.about())
 }
 
 fn assert_slices(input: &Input, zs: &[usize], solid: impl Fn(i16) -> bool) {
@@ -318,7 +318,7 @@ fn a_series_stands_on_its_feet_in_cubes() {
     assert!(about.axes.contains("ImageOrientationPatient (stored as LPS)"), "{about}");
     assert_eq!(about.voxel, Some([0.25; 3]));
     let flat = open_pieces(dir.path(), &opts("--iso 11 --spacing as-is")).unwrap();
-    let input = crate::pieces::whole(&*flat).unwrap();
+    let input = crate::model::pieces::whole(&*flat).unwrap();
     for (i, (x, z)) in (0..W * H).map(|i| (i, (i % W, i / W))) {
         for y in 0..3 {
             let found = input.columns.solid((W - 1 - x) as i64, y as i64, z as i64);

@@ -5,7 +5,7 @@ use std::io::Write;
 use super::super::open_pieces;
 use super::super::tests::{error, heights, opts, survives_changed_bytes, told};
 use super::*;
-use crate::pieces::whole;
+use crate::model::pieces::whole;
 
 /// A page: its tags (number, type, values), and chunks, an empty one being one that was never written.
 #[derive(Clone, Default)]

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::pieces::{RowColors, Rows};
+use crate::model::pieces::{RowColors, Rows};
 use crate::{About, ColumnsBuilder, Error, Result, Run};
 
 /// 2,187 a side, 1.28 billion voxels.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::blend;
 use super::noise::{Field, Octaves, sub_seed};
 use super::push_solid;
-use crate::pieces::{RowColors, Rows};
+use crate::model::pieces::{RowColors, Rows};
 use crate::{About, ColumnsBuilder, Rgb};
 
 /// Half the height of the layer, as a part of the cube's side.

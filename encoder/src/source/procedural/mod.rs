@@ -22,7 +22,7 @@ mod shapes;
 
 use clap::ValueEnum;
 
-use crate::pieces::{self, InMemory, Pieces};
+use crate::model::pieces::{self, InMemory, Pieces};
 use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
 /// Kinds of procedural scenes.

@@ -1,7 +1,7 @@
 //! Volumes with headers: where their voxels stand, what of them is solid, how they are coloured.
 
 use super::*;
-use crate::about::{About, Kind};
+use crate::model::about::{About, Kind};
 
 const N: [usize; 3] = [7, 6, 5];
 
@@ -279,7 +279,7 @@ fn colours_are_those_of_the_values_that_are_seen() {
         let name = format!("{up:?}").to_lowercase();
         let input = read("a.nrrd", &nrrd, &format!("--iso 20 --up {name}"));
         let colors = colors_of(&input);
-        let exposed = crate::exposure::exposed(&input.columns).voxels();
+        let exposed = crate::model::exposure::exposed(&input.columns).voxels();
         assert_eq!(colors.len() as u64, exposed, "inside nothing is coloured");
         // One value, one colour; lighter the greater.
         let mut by_value = std::collections::BTreeMap::new();

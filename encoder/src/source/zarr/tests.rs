@@ -83,7 +83,7 @@ fn ome_axes(order: &str) -> Value {
 
 fn read(folder: &Path, flags: &str) -> (Input, About) {
     let pieces = open_pieces(folder, &opts(flags)).unwrap();
-    (crate::pieces::whole(&*pieces).unwrap(), pieces.about())
+    (crate::model::pieces::whole(&*pieces).unwrap(), pieces.about())
 }
 
 fn assert_volume(input: &Input, nz: usize, solid: impl Fn(u8) -> bool) {

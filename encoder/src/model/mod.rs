@@ -1,0 +1,10 @@
+//! The words of the encoder: runs, columns, levels, colours, and a world in pieces. Not here: files, formats, threads.
+
+pub mod about;
+pub mod columns;
+pub mod exposure;
+pub mod input;
+pub mod pieces;
+pub mod run;
+pub mod scene;
+pub mod srgb;

@@ -1,0 +1,281 @@
+//! A world that can be drawn: from a scene file, from whatever `encode` reads, or from memory. The one door to a scene; renderers
+//! share it.
+
+pub mod tables;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use planecast_encoder::inspect::info::{self, ByteCounts};
+use planecast_encoder::source::{self, ReadOptions};
+use planecast_encoder::{Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
+
+use crate::frame::specialize::Features;
+use crate::world::tables::Resident;
+use crate::{Error, Result};
+
+#[cfg(not(target_arch = "wasm32"))]
+use planecast_encoder::encode::Watch;
+
+/// A scene with all its levels, ready to be drawn and walked on.
+pub struct World {
+    /// Where it came from.
+    pub path: PathBuf,
+    /// Whether that was an input that had to be encoded.
+    pub encoded: bool,
+    pub scene: Arc<Scene>,
+    pub resident: Arc<Resident>,
+    /// As `info` has it.
+    pub content_hash: String,
+    /// Bytes of the scene file by section.
+    pub bytes: ByteCounts,
+}
+
+/// How a file is opened.
+#[derive(Clone, Debug)]
+pub struct OpenOptions {
+    /// Of an input that has to be encoded.
+    pub read: ReadOptions,
+    /// Broken tiles of a scene file are empty.
+    pub skip_broken: bool,
+    /// What may be left out of the tables that are drawn from.
+    pub specialize: Features,
+}
+
+impl Default for OpenOptions {
+    fn default() -> OpenOptions {
+        OpenOptions { read: ReadOptions::default(), skip_broken: false, specialize: Features::ALL }
+    }
+}
+
+/// The first bytes of a scene file.
+fn is_scene(head: &[u8]) -> bool {
+    head.starts_with(&planecast_encoder::format::MAGIC)
+}
+
+impl World {
+    fn of_file(file: &PcastFile, path: &Path, encoded: bool, skip_broken: bool, specialize: Features) -> Result<World> {
+        let info = info::info(file);
+        let (scene, info) = if skip_broken {
+            let (scene, _) = file.read_scene_without_broken()?;
+            (scene, info.ok())
+        } else {
+            (file.read_scene()?, Some(info?))
+        };
+        let resident = Arc::new(Resident::with(&scene, specialize));
+        let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
+        Ok(World { path: path.to_owned(), encoded, scene: Arc::new(scene), resident, content_hash, bytes })
+    }
+
+    /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
+    pub fn from_bytes(name: &Path, bytes: Vec<u8>) -> Result<World> {
+        if is_scene(&bytes) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
+            return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false, Features::ALL);
+        }
+        let input = source::read(name, &bytes, &Default::default())?;
+        World::of_input(name, input)
+    }
+
+    /// From an input as an importer gives it.
+    pub fn of_input(name: &Path, input: Input) -> Result<World> {
+        let scene = planecast_encoder::build(input, &Default::default())?;
+        let resident = Arc::new(Resident::new(&scene));
+        let (content_hash, bytes) = Default::default();
+        Ok(World { path: name.to_owned(), encoded: true, scene: Arc::new(scene), resident, content_hash, bytes })
+    }
+
+    /// A height field from memory: `heights[z · nx + x]` voxels from the ground up, 0 for an empty column.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where there are not `nx · nz` heights, or none at all.
+    pub fn from_heights([nx, nz]: [u32; 2], heights: &[u16]) -> Result<Arc<World>> {
+        expected(&[nx, nz], heights.len())?;
+        let top = heights.iter().copied().max().unwrap_or(0);
+        let mut columns = ColumnsBuilder::new(nx, u32::from(top).max(1), nz);
+        for &height in heights {
+            if height > 0 {
+                columns.push_run(Run::new(0, height - 1));
+            }
+            columns.end_column();
+        }
+        World::of_columns("heights in memory", columns.finish())
+    }
+
+    /// A volume from memory: `voxels[(z · ny + y) · nx + x]`, y up, solid where not 0.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where there are not `nx · ny · nz` voxels, or none at all; [`Error::Scene`] where it is higher
+    /// than 65,536.
+    pub fn from_voxels([nx, ny, nz]: [u32; 3], voxels: &[u8]) -> Result<Arc<World>> {
+        expected(&[nx, ny, nz], voxels.len())?;
+        if u64::from(ny) > source::MAX_HEIGHT {
+            let most = source::MAX_HEIGHT;
+            return Err(Error::Limit(format!("a world {ny} voxels high: at most {most} can be held")));
+        }
+        let [row, slice] = [nx as usize, nx as usize * ny as usize];
+        let solid = |x: u32, y: u32, z: u32| voxels[z as usize * slice + y as usize * row + x as usize] != 0;
+        World::of_columns("voxels in memory", Columns::from_fn(nx, ny, nz, solid))
+    }
+
+    fn of_columns(name: &str, columns: Columns) -> Result<Arc<World>> {
+        let input = Input { columns, colors: Colors::None, notes: Vec::new() };
+        Ok(Arc::new(World::of_input(Path::new(name), input)?))
+    }
+
+    /// `[nx, ny, nz]`, voxels of level 0.
+    pub fn dims(&self) -> [u32; 3] {
+        self.resident.dims
+    }
+
+    /// Opens a scene file, or encodes an input as `encode` would.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] says what is wrong with the file, and where.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn open(path: impl AsRef<Path>) -> Result<Arc<World>> {
+        World::open_with(path.as_ref(), &OpenOptions::default(), &Watch::default()).map(Arc::new)
+    }
+
+    /// Opens a scene file, or encodes an input as `encode` would, into a passing file. `watch` tells how far that is, and
+    /// stops it.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn open_with(path: &Path, how: &OpenOptions, watch: &Watch) -> Result<World> {
+        let opened = planecast_encoder::encode::open::open(path, &how.read, watch, &mut |_| {})?;
+        let skip_broken = how.skip_broken && !opened.encoded;
+        World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)
+    }
+
+    /// What a window calls it.
+    pub fn name(&self) -> String {
+        self.path.file_name().map_or_else(|| self.path.display().to_string(), |n| n.to_string_lossy().into_owned())
+    }
+
+    /// What a command is given for it: the scene file, or one that `encode` would make.
+    pub fn scene_file(&self) -> PathBuf {
+        if self.encoded { PathBuf::from(self.name()).with_extension("pcast") } else { self.path.clone() }
+    }
+}
+
+/// That `n` values fill these sides, none of them 0.
+fn expected(sides: &[u32], n: usize) -> Result<()> {
+    let product = sides.iter().try_fold(1usize, |product, &side| product.checked_mul(side as usize));
+    if product != Some(n) || n == 0 {
+        let sides = sides.iter().map(u32::to_string).collect::<Vec<_>>().join(" × ");
+        return Err(Error::Argument(format!("{n} values for {sides}: expected one each, and no side of 0")));
+    }
+    Ok(())
+}
+
+/// A world on its way, opened by a thread of its own.
+#[cfg(not(target_arch = "wasm32"))]
+pub struct Opening {
+    pub path: PathBuf,
+    watch: Arc<Watch>,
+    answer: std::sync::mpsc::Receiver<Result<World>>,
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+impl Opening {
+    pub fn begin(path: &Path, how: &OpenOptions) -> Opening {
+        let watch = Arc::new(Watch::default());
+        let (send, answer) = std::sync::mpsc::channel();
+        let (owned, how, watching) = (path.to_owned(), how.clone(), watch.clone());
+        std::thread::spawn(move || {
+            // Nobody may wait any more.
+            let _ = send.send(World::open_with(&owned, &how, &watching));
+        });
+        Opening { path: path.to_owned(), watch, answer }
+    }
+
+    /// The world, or why there is none; `None` while it is on its way.
+    pub fn poll(&self) -> Option<Result<World>> {
+        use std::sync::mpsc::TryRecvError;
+        match self.answer.try_recv() {
+            Ok(world) => Some(world),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => {
+                Some(Err(Error::Limit(format!("{}: the thread that opened it has ended early", self.path.display()))))
+            }
+        }
+    }
+
+    /// Share of the encoding that is done, 0 to 1; 0 where nothing is encoded.
+    pub fn progress(&self) -> f32 {
+        use std::sync::atomic::Ordering::Relaxed;
+        let (done, total) = (self.watch.columns.load(Relaxed), self.watch.total.load(Relaxed));
+        if total == 0 { 0.0 } else { done as f32 / total as f32 }
+    }
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+impl Drop for Opening {
+    fn drop(&mut self) {
+        self.watch.stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use planecast_encoder::encode::{self, EncodeOptions};
+
+    use super::*;
+
+    #[test]
+    fn world_of_an_input_is_that_of_its_scene_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let name = Path::new("procedural:rocks?size=64&seed=3");
+        let direct = World::open_with(name, &OpenOptions::default(), &Watch::default()).unwrap();
+        assert!(direct.encoded && !direct.content_hash.is_empty());
+        let file = dir.path().join("rocks.pcast");
+        let pieces = source::open_pieces(name, &ReadOptions::default()).unwrap();
+        encode::encode(&*pieces, &EncodeOptions::default(), &file, &Watch::default()).unwrap();
+        let opening = Opening::begin(&file, &OpenOptions::default());
+        let read = loop {
+            match opening.poll() {
+                Some(world) => break world.unwrap(),
+                None => std::thread::yield_now(),
+            }
+        };
+        assert!(!read.encoded && read.scene == direct.scene && read.content_hash == direct.content_hash);
+        let bytes = World::from_bytes(Path::new("dropped"), std::fs::read(&file).unwrap()).unwrap();
+        assert_eq!(bytes.content_hash, direct.content_hash);
+    }
+
+    #[test]
+    fn world_from_memory_holds_what_it_was_given() {
+        let heights = World::from_heights([3, 2], &[1, 0, 4, 2, 2, 7]).unwrap();
+        assert_eq!(heights.dims(), [3, 7, 2]);
+        let top = |x, z| heights.scene.levels[0].solid.column(x, z).last().map_or(0, |run| run.end());
+        assert_eq!([top(0, 0), top(1, 0), top(2, 0), top(2, 1)], [1, 0, 4, 7]);
+        let mut voxels = vec![0; 4 * 3 * 2];
+        voxels[(3 + 1) * 4 + 2] = 9; // x = 2, y = 1, z = 1
+        let volume = World::from_voxels([4, 3, 2], &voxels).unwrap();
+        let solid = &volume.scene.levels[0].solid;
+        assert_eq!(solid.runs().len(), 1);
+        assert!(solid.solid(2, 1, 1));
+        for (sides, n) in [([3, 3], 8), ([0, 3], 0)] {
+            let error = World::from_heights(sides, &vec![1; n]).err().unwrap().to_string();
+            assert!(error.contains(&format!("{n} values for {} × {}", sides[0], sides[1])), "{error}");
+        }
+        assert!(World::from_voxels([1, 70_000, 1], &[1; 70_000]).err().unwrap().to_string().contains("at most 65536"));
+    }
+
+    #[test]
+    fn renderers_own_their_world_and_can_be_sent() {
+        fn sent<T: Send + 'static>() {}
+        fn shared<T: Send + Sync + 'static>() {}
+        sent::<crate::render::device::Renderer>();
+        shared::<World>();
+    }
+
+    #[test]
+    fn world_that_cannot_be_opened_says_why() {
+        let open = |name: &str| World::open_with(Path::new(name), &OpenOptions::default(), &Watch::default());
+        assert!(open("/no/such/file").err().unwrap().to_string().contains("/no/such/file"));
+        assert!(open("procedural:nothing").is_err());
+        let other = World::from_bytes(Path::new("b.pcast"), b"garbage".to_vec());
+        assert!(other.err().unwrap().to_string().starts_with("b.pcast"));
+        let broken = World::from_bytes(Path::new("b.pcast"), planecast_encoder::format::MAGIC.to_vec());
+        assert!(broken.err().unwrap().to_string().contains("b.pcast"));
+    }
+}
