@@ -122,6 +122,7 @@ pub use error::{Error, Result};
 pub use frame::camera::Camera;
 pub use frame::options::{Culling, Normals, Options, Planes, Remap, Repeat, Shading};
 pub use frame::picture::{Frame, StageTimes, Stats};
+pub use frame::projection::Projection;
 pub use frame::specialize::{Feature, Features};
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuOptions, GpuRenderer, Kernel};

@@ -188,7 +188,7 @@ pub fn jpeg(out: &mut impl Write, frame: &Frame) -> io::Result<()> {
 }
 
 /// NPY 1.0 header, C order, padded so that the data starts at a multiple of 64 bytes.
-fn npy_header(out: &mut impl Write, descr: &str, shape: &str) -> io::Result<()> {
+pub(crate) fn npy_header(out: &mut impl Write, descr: &str, shape: &str) -> io::Result<()> {
     let mut dict = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
     const PREFIX: usize = 10; // magic 6, version 2, length 2
     let padding = 63 - (PREFIX + dict.len()) % 64;

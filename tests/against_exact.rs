@@ -10,7 +10,7 @@ use common::{
 };
 use glam::DVec3;
 use planecast::cpu::exact::cast;
-use planecast::{Camera, Frame, Options, Planes, Remap, Repeat};
+use planecast::{Camera, Frame, Options, Planes, Projection, Remap, Repeat};
 use planecast_encoder::Columns;
 
 const SIZE: [u32; 2] = [300, 240];
@@ -494,4 +494,165 @@ fn samples_of_any_number_leave_no_pixel_open() {
         let open = frame.depth.iter().filter(|d| d.is_infinite()).count();
         assert_eq!(open, 0, "{samples} samples a pixel, {remap:?}, {camera:?}");
     }
+}
+
+/// Poses that are level, tilted, and along the poles.
+fn standing(world: &World) -> Vec<Camera> {
+    let [nx, _, nz] = world.dims().map(f64::from);
+    let over = world.over(nx * 0.4 + 0.3, nz * 0.55 + 0.2, 9.7);
+    let beside = DVec3::new(-20.3, 40.6, nz * 0.5 + 0.1);
+    let camera = |eye, yaw, pitch, roll| Camera { eye, yaw, pitch, roll, ..Camera::default() };
+    vec![
+        camera(over, 0.0, 0.0, 0.0),
+        camera(over, 77.0, -31.0, 12.0),
+        camera(over, 10.0, 90.0, 0.0),
+        camera(beside, 120.0, -90.0, 30.0),
+    ]
+}
+
+const PROJECTIONS: [(Projection, f64, [u32; 2]); 5] = [
+    (Projection::Equirect, 60.0, [640, 320]),
+    (Projection::Cube, 60.0, [480, 320]),
+    (Projection::Fisheye, 200.0, [350, 330]),
+    (Projection::Lidar { channels: 64, steps: 600 }, 70.0, [600, 64]),
+    (Projection::Lidar { channels: 1, steps: 90 }, 0.0, [90, 1]),
+];
+
+#[test]
+fn projections_show_the_voxels_of_exact() {
+    let mut below = Vec::new();
+    for world in [hills(MEDIUM), caves(), rocks(), blocks(), odd()] {
+        for (projection, fov, [width, height]) in PROJECTIONS {
+            let mut sum = Agreement::default();
+            for camera in standing(&world) {
+                let camera = Camera { fov, width, height, ..camera };
+                let options = Options { projection, ..plain() };
+                let (frame, exact) = (world.render(&camera, &options), world.exact(&camera, &options));
+                assert_eq!(sane(&frame), Ok(()), "{} {projection} {camera:?}", world.name);
+                let agreement = compare(&frame, &exact);
+                if agreement.depth > 1e-3 || agreement.same_percent() < 99.0 {
+                    below.push(format!("{} {projection} {camera:?}: {agreement}", world.name));
+                }
+                sum.pixels += agreement.pixels;
+                sum.same += agreement.same;
+            }
+            println!("{:32} {projection:24} {:.3} % the same", world.name, sum.same_percent());
+            if sum.same_percent() < 99.9 {
+                below.push(format!("{} {projection}: {:.3} %", world.name, sum.same_percent()));
+            }
+        }
+    }
+    assert!(below.is_empty(), "{}", below.join("\n"));
+}
+
+#[test]
+fn projections_of_extreme_worlds_show_the_voxels_of_exact() {
+    let column = World::new("one column", [1, 20, 1], |_, y, _| y < 9 || y == 14);
+    let line = World::new("one line", [1, 12, 60], |_, y, z| y < 2 + z % 7);
+    let deep = hills(MEDIUM);
+    let buried = DVec3::new(64.5, 1.5, 64.5);
+    assert!(deep.buries(buried));
+    for (projection, fov, [width, height]) in PROJECTIONS {
+        let options = Options { projection, ..plain() };
+        for (world, eye) in [
+            (&column, DVec3::new(0.5, 11.2, 0.5)),
+            (&column, DVec3::new(4.25, 30.0, -6.5)),
+            (&line, DVec3::new(0.5, 15.0, 30.5)),
+            // On a grid line, above the world and far away.
+            (&line, DVec3::new(0.0, 20.0, 30.0)),
+            (&line, DVec3::new(3000.5, 20.0, 30.0)),
+        ] {
+            let camera = Camera { eye, fov, width, height, ..Camera::default() };
+            let (frame, exact) = (world.render(&camera, &options), world.exact(&camera, &options));
+            assert_eq!(sane(&frame), Ok(()));
+            let agreement = compare(&frame, &exact);
+            assert!(
+                agreement.same_percent() >= 99.5 && agreement.depth < 1e-3,
+                "{} {projection} {eye}: {agreement}",
+                world.name
+            );
+        }
+        let camera = Camera { eye: buried, fov, width, height, ..Camera::default() };
+        for frame in [deep.render(&camera, &options), deep.exact(&camera, &options)] {
+            assert!(
+                frame.depth.iter().all(|&d| d == 0.0) && frame.voxel.iter().all(|&v| v == [64, 1, 64, 0]),
+                "{projection}"
+            );
+        }
+    }
+}
+
+/// A picture of parallel rays from straight above is a map: pixel (x, z) shows the top of column (x, z).
+#[test]
+fn ortho_from_above_is_a_map() {
+    let world = hills(MEDIUM);
+    let [nx, ny, nz] = world.dims();
+    let eye = DVec3::new(f64::from(nx) / 2.0, f64::from(ny) + 7.0, f64::from(nz) / 2.0);
+    let camera = Camera { eye, pitch: -90.0, width: nx, height: nz, ..Camera::default() };
+    let options = Options { projection: Projection::Ortho { height: Some(nz.into()) }, ..plain() };
+    for frame in [world.render(&camera, &options), world.exact(&camera, &options)] {
+        for (i, (voxel, depth)) in frame.voxel.iter().zip(&frame.depth).enumerate() {
+            let (x, z) = (i as u32 % nx, i as u32 / nx);
+            let top = world.scene.levels[0].solid.column(x, z).last().unwrap().end();
+            assert_eq!((*voxel, *depth), ([x as i32, top as i32 - 1, z as i32, 0], (ny + 7 - top) as f32));
+        }
+    }
+}
+
+#[test]
+fn views_that_turn_at_rest_show_the_voxels_of_exact_and_walk_little() {
+    for world in [hills(MEDIUM), caves(), rocks()] {
+        let mut cpu = world.renderer();
+        cpu.keep_sphere(true);
+        let start = Camera { pitch: -12.0, width: 320, height: 240, ..standing(&world)[0] };
+        let mut sum = Agreement::default();
+        let mut walked = Vec::new();
+        let turns = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.5, 0.7, 0.0), (2.5, -1.0, 2.0), (4.0, -1.0, 2.0)];
+        for (i, (yaw, pitch, roll)) in turns.into_iter().enumerate() {
+            let camera = Camera { yaw: start.yaw + yaw, pitch: start.pitch + pitch, roll, ..start };
+            let frame = cpu.render(&camera, &plain(), planecast::Outputs { voxel: true }).unwrap();
+            assert_eq!(frame.stats.kernel, if i == 0 { "planes" } else { "sphere" });
+            walked.push(frame.stats.columns_visited);
+            if i > 0 {
+                let agreement = compare(&frame, &world.exact(&camera, &plain()));
+                assert!(agreement.depth < 1e-3, "{}: {agreement}", world.name);
+                sum.pixels += agreement.pixels;
+                sum.same += agreement.same;
+            }
+        }
+        println!("{}: {:.3} % the same, columns {walked:?}", world.name, sum.same_percent());
+        assert!(sum.same_percent() >= 99.9, "{}: {sum}", world.name);
+        assert!(walked[2..].iter().all(|&n| 8 * n <= walked[0]), "{}: {walked:?}", world.name);
+        // What moved, or another world's options, is drawn anew.
+        let moved = Camera { eye: start.eye + DVec3::new(0.5, 0.0, 0.0), ..start };
+        let drawn = cpu.render(&moved, &plain(), planecast::Outputs { voxel: true }).unwrap();
+        assert_eq!(common::compare::identical(&drawn, &world.render(&moved, &plain())), Ok(()));
+    }
+}
+
+#[test]
+fn many_pictures_are_those_drawn_one_by_one() {
+    let world = hills(MEDIUM);
+    let mut cameras: Vec<Camera> = Vec::new();
+    for (i, camera) in standing(&world).into_iter().cycle().take(11).enumerate() {
+        cameras.push(Camera {
+            yaw: camera.yaw + 9.0 * i as f64,
+            width: 40 + 7 * i as u32,
+            height: 50 + i as u32,
+            ..camera
+        });
+    }
+    let mut many =
+        planecast::Renderer::with_kernel(&world.scene, &world.resident, planecast::Device::Cpu, None, &mut |_| ())
+            .unwrap();
+    let options = Options::default();
+    let frames = many.draw_many(&cameras, &options).unwrap();
+    for (camera, frame) in cameras.iter().zip(&frames) {
+        let alone = world.renderer().render(camera, &options, planecast::Outputs::default()).unwrap();
+        assert_eq!(common::compare::identical(frame, &alone), Ok(()));
+    }
+    cameras[5].fov = 190.0;
+    let e = many.draw_many(&cameras, &options).unwrap_err().to_string();
+    assert!(e.contains("190"), "{e}");
+    assert!(many.draw_many(&[], &options).unwrap().is_empty());
 }

@@ -651,3 +651,137 @@ fn a_killed_program_leaves_nothing_that_the_same_command_does_not_tidy_away() {
     succeeds(dir.path(), "encode procedural:terrain?size=64 -o s.pcast");
     assert_eq!(names(dir.path()), ["hills.pcast", "s.pcast"]);
 }
+
+/// The numbers of an NPY file, and its shape as its header has it.
+fn npy<T: Copy + bytemuck::AnyBitPattern>(path: &Path) -> (String, Vec<T>) {
+    let bytes = fs::read(path).unwrap();
+    let from = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let header = String::from_utf8(bytes[10..from].to_vec()).unwrap();
+    let shape = header.split("'shape': ").nth(1).unwrap().split(", }").next().unwrap().to_owned();
+    (shape, bytes[from..].chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect())
+}
+
+#[test]
+fn render_from_many_poses_makes_the_pictures_of_each() {
+    let dir = workplace();
+    let poses =
+        r#"[{"eye": [-5, 30, -2], "yaw": 140, "pitch": -40}, {"eye": [20, 40, 20], "pitch": -90, "size": [16, 20]}]"#;
+    fs::write(dir.path().join("poses.json"), poses).unwrap();
+    succeeds(
+        dir.path(),
+        "render hills.pcast --cameras poses.json -o out --size 40x30 --device cpu --voxel maps --depth --stats s.json",
+    );
+    assert_eq!(names(&dir.path().join("out")), ["000000.depth.npy", "000000.png", "000001.depth.npy", "000001.png"]);
+    assert_eq!(names(&dir.path().join("maps")), ["000000.voxel.npy", "000001.voxel.npy"]);
+    let one = "render hills.pcast -o p.png --eye -5,30,-2 --yaw 140 --pitch -40 --size 40x30 --device cpu --depth d.npy --voxel v.npy";
+    succeeds(dir.path(), one);
+    for (one, many) in
+        [("p.png", "out/000000.png"), ("d.npy", "out/000000.depth.npy"), ("v.npy", "maps/000000.voxel.npy")]
+    {
+        assert!(fs::read(dir.path().join(one)).unwrap() == fs::read(dir.path().join(many)).unwrap(), "{many}");
+    }
+    assert_eq!(npy::<f32>(&dir.path().join("out/000001.depth.npy")).0, "(20, 16)");
+    let stats: serde_json::Value = serde_json::from_slice(&fs::read(dir.path().join("s.json")).unwrap()).unwrap();
+    assert_eq!((stats[0]["width"].as_u64(), stats[1]["height"].as_u64()), (Some(40), Some(20)));
+
+    fs::write(dir.path().join("wrong.json"), r#"[{"eye": [0, 0, 0], "fov": 200}]"#).unwrap();
+    let (code, text) = fails(dir.path(), "render hills.pcast --cameras wrong.json -o out");
+    assert!(code == 1 && text.starts_with("wrong.json: pose 0: ") && text.contains("200"), "{text}");
+    assert_eq!(
+        planecast(dir.path(), "render hills.pcast --cameras poses.json --eye 1,2,3 -o out").status.code(),
+        Some(2)
+    );
+}
+
+#[test]
+fn render_draws_projections_and_refuses_what_they_are_not() {
+    let dir = workplace();
+    let eye = "--eye 24.3,18.4,20.6 --device cpu --lod off --depth d.npy";
+    succeeds(dir.path(), &format!("render hills.pcast -o p.png --projection equirect {eye} --size 64x32"));
+    let (shape, ranges) = npy::<f32>(&dir.path().join("d.npy"));
+    assert_eq!(shape, "(32, 64)");
+    // The lowest row looks nearly straight down: column (24, 20) is 2 + (24·7 + 20·3) % 11 + 1 = 11 high.
+    assert!(ranges[31 * 64..].iter().all(|&r| (7.4..7.6).contains(&r)), "{:?}", &ranges[31 * 64..]);
+    assert!(ranges[..64].iter().all(|r| r.is_infinite()));
+    for (flags, what) in [
+        ("--projection equirect --fov 90", "leave it out"),
+        ("--projection cube --size 64x32", "1536x1024"),
+        ("--projection lidar:4x8 --size 64x32", "8 × 4"),
+        ("--projection fisheye --fov 0", "above 0"),
+    ] {
+        let (code, text) = fails(dir.path(), &format!("render hills.pcast -o p.png {flags}"));
+        assert!(code == 1 && text.contains(what), "{flags}: {text}");
+    }
+    assert_eq!(planecast(dir.path(), "render hills.pcast -o p.png --projection lidar:4").status.code(), Some(2));
+    assert!(fails(dir.path(), "render hills.pcast -o p.ply").1.contains("cannot write .ply"));
+}
+
+#[test]
+fn lidar_scans_are_point_clouds_that_encode_reads_in_their_place() {
+    let dir = workplace();
+    let scan =
+        "render hills.pcast --projection lidar:9x32 --fov 80 --eye 24.3,18.4,20.6 --yaw 30 --device cpu --lod off";
+    succeeds(dir.path(), &format!("{scan} -o s.npy --depth d.npy"));
+    assert_eq!(names(dir.path()), ["d.npy", "hills.pcast", "s.beams.json", "s.npy"]);
+    let (shape, values) = npy::<f64>(&dir.path().join("s.npy"));
+    let (_, ranges) = npy::<f32>(&dir.path().join("d.npy"));
+    assert_eq!((shape.as_str(), ranges.len()), ("(9, 32, 4)", 9 * 32));
+    let beams: serde_json::Value = serde_json::from_slice(&fs::read(dir.path().join("s.beams.json")).unwrap()).unwrap();
+    let angle = |list: &str, i: usize| beams[list][i].as_f64().unwrap();
+    assert_eq!([angle("elevation", 0), angle("elevation", 4), angle("elevation", 8)], [40.0, 0.0, -40.0]);
+    let mut met = 0;
+    for (i, point) in values.chunks_exact(4).enumerate() {
+        assert_eq!(point[3] as f32, ranges[i]);
+        if point[3].is_finite() {
+            met += 1;
+            // Each point is where its beam's angles and range say.
+            let (up, round) = (angle("elevation", i / 32).to_radians(), (30.0 + angle("azimuth", i % 32)).to_radians());
+            let dir = [round.sin() * up.cos(), up.sin(), -round.cos() * up.cos()];
+            for (axis, eye) in [24.3, 18.4, 20.6].into_iter().enumerate() {
+                assert!((eye + dir[axis] * point[3] - point[axis]).abs() < 1e-6, "{i}: {point:?}");
+            }
+        }
+    }
+    assert!(met > 60, "{met}");
+    for kind in ["ply", "las"] {
+        succeeds(dir.path(), &format!("{scan} -o s.{kind}"));
+        succeeds(dir.path(), &format!("encode s.{kind} -o {kind}.pcast --voxel 1 --point-size 1"));
+        let info: serde_json::Value =
+            serde_json::from_str(&succeeds(dir.path(), &format!("info {kind}.pcast --json"))).unwrap();
+        let solid = info["solid_voxels"].as_u64().unwrap();
+        assert!(solid > 40 && solid <= met, "{kind}: {solid} of {met}");
+    }
+}
+
+#[test]
+fn viewsheds_are_written_as_the_name_says() {
+    let dir = workplace();
+    let shed = "viewshed hills.pcast --eye 24.5,40,20.5 --eye 2.5,18,2.5";
+    for name in ["v.npy", "v.png", "v.tif"] {
+        succeeds(dir.path(), &format!("{shed} -o {name}"));
+    }
+    let (shape, counts) = npy::<u16>(&dir.path().join("v.npy"));
+    assert_eq!(shape, "(40, 48)");
+    // The columns that the eyes stand over.
+    assert!(counts[20 * 48 + 24] >= 1 && counts[2 * 48 + 2] >= 1 && counts.iter().all(|&c| c <= 2));
+    let hidden = counts.iter().filter(|&&c| c < 2).count();
+    assert!((100..1900).contains(&hidden), "{hidden}");
+    let grey = image::open(dir.path().join("v.png")).unwrap().into_luma8();
+    assert!(grey.iter().zip(&counts).all(|(g, c)| *g == [0, 128, 255][usize::from(*c)]));
+    let (code, text) = fails(dir.path(), "viewshed hills.pcast --eye 1,50,1 -o v.csv");
+    assert!(code == 1 && text.contains(".tif"), "{text}");
+    assert_eq!(planecast(dir.path(), "viewshed hills.pcast -o v.npy").status.code(), Some(2));
+}
+
+#[cfg(feature = "h264")]
+#[test]
+fn films_of_the_whole_sphere_tell_players() {
+    let dir = workplace();
+    let film = |projection: &str| {
+        let flags = "--frames 3 --device cpu --shading none";
+        succeeds(dir.path(), &format!("fly hills.pcast -o f.mp4 --size 64x32 --projection {projection} {flags}"));
+        fs::read(dir.path().join("f.mp4")).unwrap()
+    };
+    let says = |film: &[u8]| film.windows(4).any(|w| w == b"sv3d");
+    assert!(says(&film("equirect")) && !says(&film("fisheye")) && !says(&film("perspective")));
+}

@@ -81,8 +81,17 @@ pub fn demo(folder: &Path) -> Result<()> {
     let cameras: Vec<Camera> = path.poses(FRAMES).iter().map(|p| p.camera(FILM)).collect();
     let stop = AtomicBool::new(false);
     let (film_output, source, range) = (&film, Value::String("demo".into()), 0..FRAMES);
-    let plan =
-        Film { output: film_output, kind, cameras: &cameras, range, fps: FPS, resume: false, source, stop: &stop };
+    let plan = Film {
+        output: film_output,
+        kind,
+        cameras: &cameras,
+        range,
+        fps: FPS,
+        spherical: false,
+        resume: false,
+        source,
+        stop: &stop,
+    };
     fly::fly(&plan, &mut |cameras, spare| {
         renderer.reuse(spare);
         renderer.render(&cameras[0], &options, Outputs::default())

@@ -39,6 +39,8 @@ const EXAMPLES: &[(&str, &str)] = &[
         "  planecast render dem.pcast -o dem.png
   planecast render knight.vox -o knight.png --orbit 30,-20
   planecast render dem.tif -o map.png --top --size 1920x1080
+  planecast render dem.pcast -o all.png --projection equirect --eye 10,90,200
+  planecast render dem.pcast --cameras poses.json -o pictures --depth
   planecast render dem.pcast -o - --eye 10,90,200 --yaw 30 --pitch -15 >dem.png",
     ),
     (
@@ -48,6 +50,7 @@ const EXAMPLES: &[(&str, &str)] = &[
   planecast fly dem.pcast -o frames --path path.json --frames 300",
     ),
     ("join", "  planecast join part0.mp4 part1.mp4 -o film.mp4"),
+    ("viewshed", "  planecast viewshed dem.pcast --eye 500,130,500 -o seen.tif"),
     ("view", "  planecast view dem.pcast\n  planecast view scan.nii.gz --iso 300"),
     ("pick", "  planecast pick dem.pcast --from 10,200,10 --dir 0,-1,0"),
     ("demo", "  planecast demo\n  planecast demo -o folder"),

@@ -28,12 +28,14 @@ use serde_json::json;
 use crate::cpu::pick;
 use crate::cpu::renderer;
 use crate::film::fly::{self, Film, Kind};
-use crate::film::path::Path;
+use crate::film::path::{Path, Pose};
 use crate::film::tour::{self, View};
 use crate::film::video::{Encoder, padded, segment_frames};
 use crate::frame::aim::{AimArgs, Typed};
+use crate::frame::cameras;
 use crate::frame::options::SAMPLES_LIMIT;
 use crate::frame::preset::Preset;
+use crate::frame::projection::Rays;
 #[cfg(feature = "report")]
 use crate::measure::bench::{
     self,
@@ -43,12 +45,14 @@ use crate::measure::bench::{
 use crate::measure::report;
 #[cfg(feature = "report")]
 use crate::measure::stability;
+use crate::measure::viewshed;
 use crate::output::Picture;
 use crate::render::annotate::annotate;
 use crate::render::device::{Device, Renderer};
+use crate::render::scan;
 use crate::world::is_surface;
 use crate::{
-    Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Remap, Repeat, Resident, Result,
+    Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Projection, Remap, Repeat, Resident, Result,
     Shading, output, view,
 };
 
@@ -92,6 +96,7 @@ pub enum Command {
     Render(RenderArgs),
     Fly(FlyArgs),
     Join(JoinArgs),
+    Viewshed(ViewshedArgs),
     View(ViewArgs),
     Pick(PickArgs),
     Demo(DemoArgs),
@@ -108,9 +113,14 @@ pub enum Command {
 pub struct RenderArgs {
     /// Scene file (.pcast), or an input that encode takes, or the URL of either
     scene: PathBuf,
-    /// Picture to write (.png, .jpg), or - for PNG on standard output
-    #[arg(short, long, value_name = "OUT.png|-")]
+    /// Picture to write (.png, .jpg), or - for PNG on standard output; of --projection lidar also .ply, .las or .npy; with --cameras
+    /// a folder
+    #[arg(short, long, value_name = "OUT.png|-|DIR")]
     output: PathBuf,
+    /// Draw a picture from each pose in this file (JSON: a list of {"eye": [x, y, z], "yaw", "pitch", "roll", "fov", "size":
+    /// [width, height]}) into the folder of -o: 000000.png and on
+    #[arg(long, value_name = "POSES.json", conflicts_with_all = ["eye", "yaw", "pitch", "look_at", "orbit", "fit", "top"])]
+    cameras: Option<PathBuf>,
     /// Where the camera is, voxels [default: a good view, found from the scene]
     #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
     eye: Option<DVec3>,
@@ -123,19 +133,20 @@ pub struct RenderArgs {
     /// Degrees
     #[arg(long, value_name = "D", value_parser = finite, default_value = "0")]
     roll: f64,
-    /// Picture's width and height, pixels
-    #[arg(long, value_name = "WxH", value_parser = size, default_value = "1280x720")]
-    size: [u32; 2],
+    /// Picture's width and height, pixels [default: 1280x720, or what the projection asks for]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
     #[command(flatten)]
     draw: DrawArgs,
     /// Draw a scale bar, an arrow to the north and, for heights, colours with their values into the picture
     #[arg(long)]
     annotate: bool,
-    /// Also write the depth of every pixel (NPY, f4, H x W)
-    #[arg(long, value_name = "D.npy")]
+    /// Also write the depth of every pixel (NPY, f4, H x W); with --cameras a folder [default there: that of -o], 000000.depth.npy and
+    /// on
+    #[arg(long, value_name = "D.npy|DIR", num_args = 0..=1, default_missing_value = "")]
     depth: Option<PathBuf>,
-    /// Also write the voxel of every pixel (NPY, i4, H x W x 4: x, y, z, level)
-    #[arg(long, value_name = "V.npy")]
+    /// Also write the voxel of every pixel (NPY, i4, H x W x 4: x, y, z, level); with --cameras as --depth, 000000.voxel.npy
+    #[arg(long, value_name = "V.npy|DIR", num_args = 0..=1, default_missing_value = "")]
     voxel: Option<PathBuf>,
     /// Also write what the frame cost (JSON)
     #[arg(long, value_name = "S.json")]
@@ -189,9 +200,9 @@ pub struct FlyArgs {
     /// Also write the path that is flown, as --path reads it
     #[arg(long, value_name = "P.json")]
     save_path: Option<PathBuf>,
-    /// Frames' width and height, pixels
-    #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x360")]
-    size: [u32; 2],
+    /// Frames' width and height, pixels [default: 640x360, or what the projection asks for]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
     #[command(flatten)]
     draw: DrawArgs,
     /// Draw a scale bar, an arrow to the north and, for heights, colours with their values into each frame
@@ -359,12 +370,43 @@ pub struct ReportArgs {
     input: InputArgs,
 }
 
+/// Find which columns are seen from a place, or from how many of several places
+///
+/// A column is seen where any of its voxels' faces is. GeoTIFF and NPY have counts, one a column, rows along z; GeoTIFF has the
+/// georeference that the scene keeps of its source. PNG is white where all places see. A place inside something solid sees the
+/// column that it is in.
+#[derive(Debug, Args)]
+pub struct ViewshedArgs {
+    /// Scene file (.pcast), or an input that encode takes, or the URL of either
+    scene: PathBuf,
+    /// A place to see from, voxels; may be given again
+    #[arg(long, required = true, value_name = "X,Y,Z", value_parser = vector)]
+    eye: Vec<DVec3>,
+    /// File to write: .tif, .png or .npy
+    #[arg(short, long, value_name = "V.tif|V.png|V.npy")]
+    output: PathBuf,
+    /// Threads to work with [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    #[command(flatten)]
+    input: InputArgs,
+}
+
 /// How to draw, for pictures and films alike.
 #[derive(Debug, Args)]
 pub struct DrawArgs {
-    /// Vertical field of view, degrees
-    #[arg(long, value_name = "D", value_parser = fov, default_value = "60")]
-    fov: f64,
+    /// Vertical field of view, degrees; of fisheye all of its circle, of lidar from the highest beam to the lowest [default: 60, of
+    /// fisheye 180, of lidar 45]
+    #[arg(long, value_name = "D", value_parser = any_fov)]
+    fov: Option<f64>,
+    /// Which ray each pixel shows: perspective; ortho, HEIGHT voxels high; equirect, cube (3 x 2 faces), fisheye, and lidar, whose
+    /// depth is the distance along the ray
+    #[arg(
+        long,
+        value_name = "perspective|ortho[:HEIGHT]|equirect|cube|fisheye|lidar:CHANNELSxSTEPS",
+        default_value = "perspective"
+    )]
+    projection: Projection,
     /// What draws; auto takes the GPU where one is usable, exact is one ray a pixel
     #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
     device: Device,
@@ -552,6 +594,11 @@ fn fov(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected above 0 and below 180 degrees".into()))
 }
 
+fn any_fov(s: &str) -> Result<f64, String> {
+    let allowed = |v: &f64| (0.0..=360.0).contains(v);
+    finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 0 to 360 degrees".into()))
+}
+
 fn fps(s: &str) -> Result<f64, String> {
     let allowed = |v: &f64| (1.0..=240.0).contains(v);
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected 1 to 240".into()))
@@ -684,12 +731,51 @@ impl DrawArgs {
             smooth: self.smooth == Some(Switch::On),
             sky: self.sky == SkyArg::Shown,
             specialize: self.specialize,
+            projection: self.projection,
         };
         self.preset.map_or(options, |preset| preset.options(options))
     }
 
     fn repeat(&self) -> Repeat {
         self.repeat.axes()
+    }
+
+    fn fov(&self) -> f64 {
+        self.fov.unwrap_or(self.projection.usual_fov())
+    }
+
+    fn size(&self, typed: Option<[u32; 2]>, usual: [u32; 2]) -> [u32; 2] {
+        typed.or_else(|| self.projection.usual_size()).unwrap_or(usual)
+    }
+
+    /// Whether directions alone make the picture, all round: a camera for it need not frame anything.
+    fn looks_round(&self) -> bool {
+        !matches!(self.projection, Projection::Perspective | Projection::Ortho { .. })
+    }
+
+    /// Whether projection, field of view and size go together, before any other work.
+    fn check_projection(&self, size: [u32; 2]) -> Result<()> {
+        if let (Some(fov), false) = (self.fov, self.projection.has_fov()) {
+            let name = self.projection.name();
+            return Err(Error::Argument(format!("--fov {fov}: {name} shows the whole sphere; leave it out")));
+        }
+        let camera = Camera { fov: self.fov(), width: size[0], height: size[1], ..Camera::default() };
+        self.projection.check(&camera)
+    }
+
+    /// The camera of a pose.
+    fn camera(&self, pose: Pose, size: [u32; 2]) -> Camera {
+        let fov = if self.looks_round() { self.fov() } else { pose.fov };
+        Camera { fov, ..pose.camera(size) }
+    }
+
+    /// Scale and north hold for one direction of view.
+    fn check_annotate(&self, annotate: bool) -> Result<()> {
+        if annotate && self.projection != Projection::Perspective {
+            let name = self.projection;
+            return Err(Error::Argument(format!("--annotate: is for perspective, not for --projection {name}; leave it out")));
+        }
+        Ok(())
     }
 
     /// A sky that is left out needs an output that has transparency.
@@ -702,13 +788,50 @@ impl DrawArgs {
     }
 
     fn view(&self, size: [u32; 2]) -> View {
-        View { fov: self.fov, size, repeat: self.repeat() }
+        let fov = if self.looks_round() { Projection::Perspective.usual_fov() } else { self.fov() };
+        View { fov, size, repeat: self.repeat() }
     }
 
     /// Settles what draws, and tells of it where that was left to the program. Before any other work.
     /// Opens the device that draws; what it has to tell goes to stderr.
     fn renderer(&self, scene: &Arc<Scene>, resident: &Arc<Resident>) -> Result<Renderer> {
         Renderer::with_kernel(scene, resident, self.device, self.kernel.as_deref(), &mut tell)
+    }
+
+    /// A scene and its tables, as renderers share them. Options that it or the projection has nothing for are taken back, with a
+    /// word. Who measures what is there is shown no surface unless it was asked for.
+    fn shared(
+        &self,
+        scene: Scene,
+        surface: &Surface,
+        measured: bool,
+        options: &mut Options,
+    ) -> (Arc<Scene>, Arc<Resident>) {
+        let drawn = options.drawn();
+        if *options != drawn {
+            *options = drawn;
+            tell(&format!(
+                "projection {}: shadows, derived normals and --smooth are for perspective and cube; left out",
+                options.projection
+            ));
+        }
+        options.smooth |= self.smooth.is_none() && !measured && surface.stands;
+        *options = options.drawn();
+        // A surface is drawn from heights alone.
+        let features =
+            if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
+        let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+        if options.smooth && !resident.heights {
+            options.smooth = false;
+            if !surface.stands {
+                tell("--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn");
+            }
+        }
+        if options.normals == Normals::Derived && scene.encoding != planecast_encoder::Encoding::Solid {
+            options.normals = Normals::Screen;
+            tell("derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn");
+        }
+        (Arc::new(scene), Arc::new(resident))
     }
 
     fn set_threads(&self) -> Result<()> {
@@ -756,24 +879,6 @@ fn named_file(path: &PathBuf) -> Option<&PathBuf> {
     Some(path).filter(|path| **path != FilePath::new(output::STDOUT))
 }
 
-/// A scene and its tables, as renderers share them. Options that it has nothing for are taken back, with a word.
-fn shared(scene: Scene, features: Features, surface: &Surface, options: &mut Options) -> (Arc<Scene>, Arc<Resident>) {
-    // A surface is drawn from heights alone.
-    let features = if options.smooth { features.with(crate::Feature::Heights) } else { features };
-    let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
-    if options.smooth && !resident.heights {
-        options.smooth = false;
-        if !surface.stands {
-            tell("--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn");
-        }
-    }
-    if options.normals == Normals::Derived && scene.encoding != planecast_encoder::Encoding::Solid {
-        options.normals = Normals::Screen;
-        tell("derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn");
-    }
-    (Arc::new(scene), Arc::new(resident))
-}
-
 /// Every output once and over no input, and each can be written as far as that can be known before.
 fn check_outputs(inputs: &[Option<&PathBuf>], outputs: &[(&str, Option<&PathBuf>)]) -> Result<()> {
     let given: Vec<(&str, &PathBuf)> = outputs.iter().filter_map(|(flag, p)| Some((*flag, (*p)?))).collect();
@@ -790,25 +895,45 @@ fn check_outputs(inputs: &[Option<&PathBuf>], outputs: &[(&str, Option<&PathBuf>
 
 impl RenderArgs {
     fn run(&self) -> Result<()> {
+        if let Some(poses) = &self.cameras {
+            return self.run_many(poses);
+        }
         let begun = Instant::now();
-        let picture = Picture::of(&self.output)?;
+        let size = self.draw.size(self.size, [1280, 720]);
+        self.draw.check_projection(size)?;
+        self.draw.check_annotate(self.annotate)?;
+        let lidar = matches!(self.draw.projection, Projection::Lidar { .. });
+        let scan = scan::Kind::of(&self.output).filter(|_| lidar);
+        let picture = if scan.is_some() { Picture::Png } else { Picture::of(&self.output)? };
         self.draw.check_sky(picture == Picture::Png, &self.output)?;
+        for (flag, file) in [("--depth", &self.depth), ("--voxel", &self.voxel)] {
+            if file.as_ref().is_some_and(|file| file.as_os_str().is_empty()) {
+                return Err(Error::Argument(format!("{flag}: name the .npy file to write")));
+            }
+        }
+        let beams = scan.map(|_| scan::beams_file(&self.output));
         let outputs = [
             ("--output", named_file(&self.output)),
             ("--depth", self.depth.as_ref()),
             ("--voxel", self.voxel.as_ref()),
             ("--stats", self.stats.as_ref()),
+            ("the beams", beams.as_ref()),
         ];
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let mut options = self.draw.options();
         let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
-        let camera = self.aim.pose(typed, &scene, self.draw.view(self.size))?.camera(self.size);
+        let mut pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
+        if self.draw.looks_round() && !self.aim.is_given() {
+            // A good view looks at all from outside and down; a picture of all directions is taken within and upright.
+            pose.pitch = self.pitch.unwrap_or(0.0);
+            pose.eye = self.eye.unwrap_or_else(|| tour::within(&scene));
+        }
+        let camera = self.draw.camera(pose, size);
         // Who asks for depths or voxels measures what is there.
         let measured = self.depth.is_some() || self.voxel.is_some();
-        options.smooth |= self.draw.smooth.is_none() && !measured && surface.stands;
-        let (scene, resident) = shared(scene, self.draw.specialize, &surface, &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options);
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
@@ -817,8 +942,16 @@ impl RenderArgs {
         }
 
         let mut files = Vec::new();
-        if let Some(path) = named_file(&self.output) {
-            files.push(output::write(path, |out| picture.write(out, &frame))?);
+        match (scan, named_file(&self.output)) {
+            (Some(kind), Some(path)) => {
+                let rays = Rays::new(&camera, options.projection, scene.dims());
+                let bytes = scan::write(kind, &frame, &rays, &surface.about)?;
+                files.push(output::write(path, |out| out.write_all(&bytes))?);
+                files
+                    .push(output::write(&scan::beams_file(path), |out| scan::beams(out, &camera, options.projection))?);
+            }
+            (_, Some(path)) => files.push(output::write(path, |out| picture.write(out, &frame))?),
+            _ => {}
         }
         if let Some(path) = &self.depth {
             files.push(output::write(path, |out| output::npy_depth(out, &frame))?);
@@ -834,8 +967,12 @@ impl RenderArgs {
         }
         match named_file(&self.output) {
             Some(path) => {
-                let [width, height] = self.size;
-                Made::new(None, path).tell(begun, &format!("{width} x {height} pixels"));
+                let [width, height] = size;
+                let what = match scan {
+                    Some(_) => format!("{} points", frame.depth.iter().filter(|d| d.is_finite()).count()),
+                    None => format!("{width} x {height} pixels"),
+                };
+                Made::new(None, path).tell(begun, &what);
             }
             None => {
                 let mut bytes = Vec::new();
@@ -853,15 +990,114 @@ impl RenderArgs {
         }
         Ok(())
     }
+
+    /// A picture from each pose of a file.
+    fn run_many(&self, poses: &PathBuf) -> Result<()> {
+        let begun = Instant::now();
+        let size = self.draw.size(self.size, [1280, 720]);
+        self.draw.check_projection(size)?;
+        if self.output.as_os_str() == output::STDOUT {
+            return Err(Error::Argument("-o -: --cameras makes many pictures; name a folder".into()));
+        }
+        let stats_file = self.stats.as_ref();
+        check_outputs(&[Some(&self.scene), Some(poses)], &[("--stats", stats_file)])?;
+        let mut options = self.draw.options();
+        let usual = Camera { fov: self.draw.fov(), width: size[0], height: size[1], ..Camera::default() };
+        let cameras = cameras::read(poses, &usual)?;
+        for (i, camera) in cameras.iter().enumerate() {
+            let wrong = |what: String| Error::from(FileError::format(poses, format!("pose {i}: {what}")));
+            renderer::check(camera, &options).map_err(|e| wrong(e.to_string()))?;
+            if u64::from(camera.width) * u64::from(camera.height) > PIXELS {
+                return Err(wrong(format!("{} x {} pixels: at most {PIXELS} in all", camera.width, camera.height)));
+            }
+        }
+        let folder = |given: &Option<PathBuf>| {
+            given.as_ref().map(|dir| if dir.as_os_str().is_empty() { self.output.clone() } else { dir.clone() })
+        };
+        let (depth, voxel) = (folder(&self.depth), folder(&self.voxel));
+        for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
+            if dir.exists() && !dir.is_dir() {
+                let what = "is a file; --cameras writes into a folder";
+                return Err(FileError::format(dir, what).into());
+            }
+        }
+        self.draw.set_threads()?;
+        let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
+            std::fs::create_dir_all(dir).map_err(|e| FileError::io(dir, "make", e))?;
+        }
+        let (scene, resident) =
+            self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options);
+        let mut renderer = self.draw.renderer(&scene, &resident)?;
+        renderer.set_depth(depth.is_some());
+        renderer.set_count(stats_file.is_some());
+        let outputs = Outputs { voxel: voxel.is_some() };
+        let stats = std::sync::Mutex::new(vec![None; if stats_file.is_some() { cameras.len() } else { 0 }]);
+        renderer.draw_each(&cameras, &options, outputs, &|i, frame| {
+            let name = |dir: &PathBuf, ending: &str| dir.join(format!("{i:06}.{ending}"));
+            let mut files =
+                vec![output::write_one_of_many(&name(&self.output, "png"), |out| output::png(out, &frame))?];
+            if let Some(dir) = &depth {
+                files.push(output::write_one_of_many(&name(dir, "depth.npy"), |out| output::npy_depth(out, &frame))?);
+            }
+            if let Some(dir) = &voxel {
+                files.push(output::write_one_of_many(&name(dir, "voxel.npy"), |out| output::npy_voxel(out, &frame))?);
+            }
+            for file in files {
+                file.finish()?;
+            }
+            if let Some(stats) = stats.lock().expect("no holder panics").get_mut(i) {
+                *stats = Some(frame.stats.clone());
+            }
+            Ok(Some(frame))
+        })?;
+        if let Some(file) = stats_file {
+            let stats = stats.into_inner().expect("no holder panics");
+            output::write(file, |out| output::json(out, &stats))?.finish()?;
+        }
+        Made::new(None, &self.output).tell(begun, &format!("{} pictures", cameras.len()));
+        Ok(())
+    }
+}
+
+impl ViewshedArgs {
+    fn run(&self) -> Result<()> {
+        let begun = Instant::now();
+        let kind = viewshed::Kind::of(&self.output)?;
+        check_outputs(&[Some(&self.scene)], &[("--output", Some(&self.output))])?;
+        set_threads(self.threads)?;
+        let file = planecast_encoder::cli::open(&self.scene, &self.input.read)?.file;
+        let about = file.about().clone();
+        let scene = planecast_encoder::cli::read_scene(&file, false)?;
+        drop(file);
+        let resident = Resident::new(&scene);
+        drop(scene);
+        let seen = viewshed::viewshed(&resident, &self.eye)?;
+        for &i in &seen.inside {
+            note!("--eye {:?} is inside something solid: it sees its own column", self.eye[i].to_array());
+        }
+        if kind == viewshed::Kind::Tiff && about.affine.is_none() {
+            note!("the scene keeps no georeference of its source: pixels of {} are columns", self.output.display());
+        }
+        output::write(&self.output, |out| seen.write(kind, out, &about))?.finish()?;
+        let all = seen.counts.len();
+        let share = seen.seen() as f64 / all as f64 * 100.0;
+        let what = format!("{share:.1} % of {all} columns seen from {} places", self.eye.len());
+        Made::new(None, &self.output).tell(begun, &what);
+        Ok(())
+    }
 }
 
 impl FlyArgs {
     fn run(&self) -> Result<()> {
         let begun = Instant::now();
         let kind = Kind::of(&self.output, self.encoder.as_ref())?;
+        let size = self.draw.size(self.size, [640, 360]);
+        self.draw.check_projection(size)?;
+        self.draw.check_annotate(self.annotate)?;
         self.draw.check_sky(matches!(kind, Kind::Folder), &self.output)?;
         if !self.plan {
-            kind.check(self.size, self.fps)?;
+            kind.check(size, self.fps)?;
         }
         let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
         if !matches!(kind, Kind::Folder | Kind::Stdout) {
@@ -870,7 +1106,11 @@ impl FlyArgs {
         check_outputs(&[Some(&self.scene), self.path.as_ref()], &outputs)?;
         self.draw.set_threads()?;
         let mut options = self.draw.options();
-        let given = self.path.as_ref().map(|file| Path::read(file, self.draw.fov)).transpose()?;
+        let given = self
+            .path
+            .as_ref()
+            .map(|file| Path::read(file, self.draw.fov.filter(|_| !self.draw.looks_round()).unwrap_or(60.0)))
+            .transpose()?;
         if self.aim.is_given() && (self.path.is_some() || self.tour) {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
@@ -881,7 +1121,7 @@ impl FlyArgs {
         let content = info::content_hash(&file);
         let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
         drop(file);
-        let view = self.draw.view(self.size);
+        let view = self.draw.view(size);
         let given = given.or_else(|| self.aim.path(&scene, view));
         let path = given.unwrap_or_else(|| tour::tour(&scene, view));
         if let Some(file) = &self.save_path {
@@ -891,24 +1131,21 @@ impl FlyArgs {
         let frames = all.unwrap_or_else(|| (path.duration() * self.fps).round().clamp(1.0, 1e6) as usize);
         let range = range.unwrap_or(0..frames);
         if self.plan {
-            return print(&format!(
-                "{}\n",
-                json!({"frames": frames, "segment": segment_frames(self.size[0], self.size[1])})
-            ));
+            return print(&format!("{}\n", json!({"frames": frames, "segment": segment_frames(size[0], size[1])})));
         }
         if range.end > frames {
             let std::ops::Range { start, end } = range;
             return Err(Error::Argument(format!("--frames {start}..{end}: the film has frames 0..{frames}")));
         }
-        let [width, height] = self.size;
-        if kind.is_yuv() && self.size.map(padded) != self.size.map(|v| v as usize) {
-            let [w, h] = self.size.map(padded);
+        let [width, height] = size;
+        if kind.is_yuv() && size.map(padded) != size.map(|v| v as usize) {
+            let [w, h] = size.map(padded);
             tell(&format!(
                 "film of {width} x {height} pixels is written as {w} x {h}, its last column and row repeated: 4:2:0 takes even sizes of \
                  at least 16; use --size {w}x{h} to draw them"
             ));
         }
-        let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| p.camera(self.size)).collect();
+        let cameras: Vec<Camera> = path.poses(frames).iter().map(|p| self.draw.camera(*p, size)).collect();
         for camera in &cameras {
             renderer::check(camera, &options).map_err(|e| match (e, &self.path) {
                 (Error::Argument(what), Some(file)) => FileError::format(file, what).into(),
@@ -916,12 +1153,16 @@ impl FlyArgs {
             })?;
         }
 
-        options.smooth |= self.draw.smooth.is_none() && surface.stands;
-        let (scene, resident) = shared(scene, self.draw.specialize, &surface, &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
         renderer.set_depth(self.annotate);
+        let spherical = self.draw.projection == Projection::Equirect;
+        if spherical && size[0] != 2 * size[1] {
+            tell("players show a film of the whole sphere as twice as wide as high; --size 3840x1920 is");
+        }
         let film = Film {
+            spherical,
             output: &self.output,
             kind,
             cameras: &cameras,
@@ -958,7 +1199,7 @@ impl FlyArgs {
             )));
         }
         if let Some(path) = named_file(&self.output) {
-            let [width, height] = self.size;
+            let [width, height] = size;
             Made::new(None, path).tell(begun, &format!("{} frames of {width} x {height} pixels", outcome.frames));
         }
         Ok(())
@@ -980,6 +1221,11 @@ impl JoinArgs {
 
 impl ViewArgs {
     fn run(&self) -> Result<()> {
+        if self.draw.projection != Projection::Perspective {
+            let name = self.draw.projection;
+            return Err(Error::Argument(format!("--projection {name}: a window shows perspective; use render or fly")));
+        }
+        self.draw.check_projection(self.window)?;
         self.draw.set_threads()?;
         view::view(view::Settings {
             input: self.input.clone(),
@@ -993,7 +1239,7 @@ impl ViewArgs {
             pitch: self.pitch,
             roll: self.roll,
             aim: self.aim,
-            fov: self.draw.fov,
+            fov: self.draw.fov(),
             device: self.draw.device,
             kernel: self.draw.kernel.clone(),
             options: self.draw.options(),
@@ -1156,6 +1402,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
         Command::Render(args) => args.run(),
         Command::Fly(args) => args.run(),
         Command::Join(args) => args.run(),
+        Command::Viewshed(args) => args.run(),
         Command::View(args) => args.run(),
         Command::Pick(args) => args.run(),
         Command::Demo(args) => demo::demo(&args.output),
@@ -1306,7 +1553,7 @@ mod tests {
     #[test]
     fn cli_swallows_no_flag_as_a_value() {
         let args = render("--eye -5,3,-2 --yaw 30 --size 7x5");
-        assert_eq!((args.yaw, args.size), (Some(30.0), [7, 5]));
+        assert_eq!((args.yaw, args.size), (Some(30.0), Some([7, 5])));
         assert_eq!(refused("--eye --yaw 30"), "a value is required for '--eye <X,Y,Z>' but none was supplied");
         assert!(refused("--yaw --pitch 3").starts_with("a value is required for '--yaw <D>'"));
     }
@@ -1339,6 +1586,7 @@ mod tests {
             smooth: true,
             sky: false,
             specialize: [crate::Feature::Heights, crate::Feature::Upright].into_iter().collect(),
+            projection: Projection::Perspective,
         };
         assert_eq!(render(all).draw.options(), expected);
         assert_eq!(render("--planes 77 --lod 2.5 --cull none").draw.options().planes, Planes::Count(77));
@@ -1366,7 +1614,7 @@ mod tests {
             Pose { eye: DVec3::new(0.1 + 0.2, -1e-9, 1e7 / 3.0), yaw: 359.9, pitch: -1.0 / 3.0, roll: -0.0, fov: 60.1 };
         let args = render(&view::pose_flags(&pose));
         let typed = (args.eye, args.yaw, args.pitch, args.roll, args.draw.fov);
-        assert_eq!(typed, (Some(pose.eye), Some(pose.yaw), Some(pose.pitch), pose.roll, pose.fov));
+        assert_eq!(typed, (Some(pose.eye), Some(pose.yaw), Some(pose.pitch), pose.roll, Some(pose.fov)));
     }
 
     #[cfg(feature = "report")]

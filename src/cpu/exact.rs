@@ -4,6 +4,7 @@ use crate::cpu::smooth::Ground;
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::plane_setup::{FARTHEST_VIEW, REPEATED_VIEW_DISTANCE};
+use crate::frame::projection::Rays;
 use crate::world::tables::Resident;
 use glam::DVec3;
 use planecast_encoder::{Columns, Scene};
@@ -184,7 +185,7 @@ pub fn exact(
     depth: &mut [f32],
     voxel: &mut [[i32; 4]],
 ) {
-    let basis = camera.basis();
+    let rays = Rays::new(camera, options.projection, resident.dims);
     let columns = scene.levels[0].geometry(scene.encoding);
     let repeats = [options.repeat.x, options.repeat.z];
     let view = view_distance(options);
@@ -196,7 +197,11 @@ pub fn exact(
     let rows = color.par_chunks_mut(width).zip(depth.par_chunks_mut(width)).zip(voxel.par_chunks_mut(width));
     rows.enumerate().for_each(|(r, ((color, depth), voxel))| {
         for c in 0..width {
-            let dir = camera.ray(&basis, c as f64 + 0.5, r as f64 + 0.5);
+            let Some(dir) = rays.direction(c as u32, r as u32) else {
+                (color[c], depth[c], voxel[c]) = (0, f32::INFINITY, [-1; 4]);
+                continue;
+            };
+            let origin = rays.origin(c as u32, r as u32);
             let horizontal = dir.x.hypot(dir.z);
             let t_max = if horizontal > 0.0 { view / horizontal } else { f64::INFINITY };
             if let Some(surface) = &surface {
@@ -206,7 +211,7 @@ pub fn exact(
                 };
                 continue;
             }
-            match cast(columns, repeats, camera.eye, dir, t_max) {
+            match cast(columns, repeats, origin, dir, t_max) {
                 None => (color[c], depth[c], voxel[c]) = (0, f32::INFINITY, [-1; 4]),
                 Some(hit) => {
                     let n = columns.range(hit.column).len();

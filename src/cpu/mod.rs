@@ -10,4 +10,6 @@ pub mod renderer;
 pub mod shade;
 pub mod shadow;
 pub mod smooth;
+pub mod shade_rays;
+pub mod sphere;
 pub mod traverse;

@@ -69,7 +69,7 @@ pub fn refine(resident: &Resident, setup: &Setup, camera: &Camera, pixels: &mut 
 }
 
 /// A pixel's ray; its parameter is depth.
-struct Ray {
+pub(super) struct Ray {
     dir: [f32; 3],
     inverse: [f32; 3],
     /// Depth at which the view ends.
@@ -80,7 +80,7 @@ struct Ray {
 
 impl Ray {
     #[inline(always)]
-    fn new(dir: [f32; 3], view_distance: f32) -> Ray {
+    pub(super) fn new(dir: [f32; 3], view_distance: f32) -> Ray {
         let inverse = dir.map(ray_inverse);
         let horizontal = (dir[0] * dir[0] + dir[2] * dir[2]).sqrt();
         let steepest = dir.into_iter().map(f32::abs).fold(0.0, Real::max);
@@ -90,10 +90,10 @@ impl Ray {
 
 /// What a ray meets first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Met {
-    voxel: [i32; 4],
-    depth: f32,
-    color: u32,
+pub(super) struct Met {
+    pub(super) voxel: [i32; 4],
+    pub(super) depth: f32,
+    pub(super) color: u32,
 }
 
 /// What a stretch of a ray shows.
@@ -107,7 +107,7 @@ enum Stretch {
 }
 
 /// Level 0 around the eye.
-struct Walk<'a> {
+pub(super) struct Walk<'a> {
     level: &'a ResidentLevel,
     eye: [i32; 3],
     fract: [f32; 3],
@@ -115,14 +115,14 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    fn new(resident: &'a Resident, setup: &Setup) -> Walk<'a> {
+    pub(super) fn new(resident: &'a Resident, setup: &Setup) -> Walk<'a> {
         let fract = setup.eye_fract.map(|f| f as f32);
         Walk { level: &resident.levels[0], eye: setup.eye_cell, fract, repeats: setup.repeats }
     }
 
     /// What the ray of a pixel in doubt meets, if the walk finds it; `depth` is that of what remap chose.
     #[inline(always)]
-    fn settle(&self, ray: &Ray, doubt: Doubt, depth: f32) -> Option<Met> {
+    pub(super) fn settle(&self, ray: &Ray, doubt: Doubt, depth: f32) -> Option<Met> {
         // What the ray meets there, it cannot see through.
         let end = if doubt.0.is_sign_negative() { ray.end } else { Real::min(depth, ray.end) };
         let from = Real::max(doubt.0.abs() - ray.margin, 0.0);

@@ -270,10 +270,10 @@ fn parts(stretches: &[[Stretch; 3]], width: u32) -> Vec<(usize, Stretch)> {
 }
 
 /// The voxels' boxes as a pixel's ray meets them.
-struct Boxes {
+pub(super) struct Boxes {
     /// The eye in level-0 voxels: whole, and rest.
-    eye: [i32; 3],
-    fract: [f32; 3],
+    pub(super) eye: [i32; 3],
+    pub(super) fract: [f32; 3],
 }
 
 /// The reciprocal of a component of a ray. A ray along an axis' grid planes crosses none of them, and is in or out of a
@@ -284,7 +284,7 @@ pub fn ray_inverse(d: f32) -> f32 {
 }
 
 /// The depth of a voxel that a ray does not meet.
-const MISS: f32 = f32::INFINITY;
+pub(super) const MISS: f32 = f32::INFINITY;
 
 impl Boxes {
     /// Depths at which a ray (inverse components given) enters a voxel's box, at least 0, and leaves it; the first is
@@ -315,7 +315,7 @@ impl Boxes {
 
     /// [`Boxes::enter`] of the voxels at `at`, each with the ray at its place, in vectors. `voxel` is scratch.
     #[inline(always)]
-    fn enter_each(
+    pub(super) fn enter_each(
         &self,
         shown: &[[i32; 4]],
         at: &[u32],
@@ -417,7 +417,7 @@ pub fn color_of(resident: &Resident, [x, y, z, l]: [i32; 4]) -> u32 {
     level.paint.color((wrap(z, level.nz) * level.nx + wrap(x, level.nx)) as usize, 0, y as u32)
 }
 
-const BLOCK: usize = COLUMNS_A_BLOCK as usize;
+pub(super) const BLOCK: usize = COLUMNS_A_BLOCK as usize;
 
 /// A stretch's pixels, one after the other in each array, so that they are worked on in vectors.
 struct Block {
@@ -436,7 +436,7 @@ struct Block {
 }
 
 /// Less than any depth.
-const SETTLED: f32 = -1.0;
+pub(super) const SETTLED: f32 = -1.0;
 
 /// Those of a block's pixels whose rays do not meet both planes' voxels, and so look at the samples next to them.
 struct Again {
@@ -617,7 +617,7 @@ fn settle([own, beside]: &[[[i32; BLOCK]; 4]; 2], [near, near_beside]: [&[f32]; 
 
 /// Whether a sample and its two neighbours along the plane show the sky; false at the ends of `shown`.
 #[inline(always)]
-fn all_sky(shown: &[[i32; 4]], at: u32) -> bool {
+pub(super) fn all_sky(shown: &[[i32; 4]], at: u32) -> bool {
     let at = at as usize;
     let around = shown.get(at.wrapping_sub(1)..at + 2);
     around.is_some_and(|samples| samples.iter().all(|voxel| voxel[3] < 0))
@@ -626,7 +626,7 @@ fn all_sky(shown: &[[i32; 4]], at: u32) -> bool {
 /// Of the two planes' own samples, whose voxels the ray misses, as it does those next to them: the one that shows the sky, else
 /// the one that it misses less. (Not one of those next to them: its depth and, of a silhouette, its sky are not the pixel's.)
 #[cold]
-fn missed(shown: &[[i32; 4]], boxes: &Boxes, [own, beside]: [u32; 2], inverse: [f32; 3]) -> u32 {
+pub(super) fn missed(shown: &[[i32; 4]], boxes: &Boxes, [own, beside]: [u32; 2], inverse: [f32; 3]) -> u32 {
     let [by, by_beside] = [own, beside].map(|at| match shown[at as usize] {
         SKY => f32::NEG_INFINITY,
         voxel => {

@@ -5,20 +5,34 @@ use crate::cpu::normal::Occupancy;
 use crate::cpu::shade::NormalsOf;
 use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
 use crate::cpu::smooth::{self, Ground};
+use crate::cpu::sphere::Sphere;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
-use crate::cpu::{gap_fill, refine, remap, shade};
+use crate::cpu::{gap_fill, refine, remap, shade, shade_rays};
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
-use crate::frame::options::{Normals, Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
+use crate::frame::options::{Normals, Options, Planes, Remap, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
 use crate::frame::picture::{Frame, StageTimes, Stats};
+use crate::frame::plane_setup::sphere::Layout;
 use crate::frame::plane_setup::{EYE_LIMIT, Setup, plane_setup};
+use crate::frame::projection::{Projection, Rays, face_cameras, join_faces};
 use crate::frame::specialize::{Specialization, Twin};
 use crate::world::tables::Resident;
 use planecast_encoder::{ColorMode, Encoding, Scene};
-use std::sync::Arc;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 /// Pixels a frame may have.
 pub const PIXEL_LIMIT: u64 = 1 << 28;
+
+/// Pixels up to which a picture of many is drawn by one thread.
+const ALONE_PIXELS: u64 = 1 << 20;
+
+/// Samples of the sphere that is kept while the eye rests, for each pixel in the middle of a picture.
+const SPHERE_DENSITY: f64 = 1.2;
+
+/// Samples of a sphere at most: at 24 bytes each, 6 GiB.
+const SPHERE_LIMIT: u64 = 1 << 28;
 
 /// Draws frames of one scene on the CPU. Keeps its buffers from frame to frame.
 pub struct CpuRenderer {
@@ -35,6 +49,11 @@ pub struct CpuRenderer {
     tops: Option<Arc<Tops>>,
     /// The same of the first that is smooth, and along which axes its world repeats.
     surface: Option<(Arc<Tops>, [bool; 2])>,
+    /// Of the latest eye.
+    sphere: Option<Box<Sphere>>,
+    /// The latest view, while frames may keep their sphere.
+    rests: Option<(Camera, Options)>,
+    keeps: bool,
 }
 
 /// What is wanted beside colour and depth.
@@ -55,9 +74,7 @@ pub fn check(camera: &Camera, options: &Options) -> Result<()> {
             camera.width, camera.height
         )));
     }
-    if !(camera.fov > 0.0 && camera.fov < 180.0) {
-        return argument(format!("field of view of {} degrees: must be above 0 and below 180", camera.fov));
-    }
+    options.projection.check(camera)?;
     if !(-90.0..=90.0).contains(&camera.pitch) || !camera.yaw.is_finite() || !camera.roll.is_finite() {
         return argument(format!(
             "yaw {}, pitch {}, roll {} degrees: must be finite, pitch from -90 to 90",
@@ -119,7 +136,21 @@ impl CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
-        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade, tops: None, surface: None }
+        CpuRenderer {
+            scene,
+            resident,
+            buffer,
+            color,
+            index,
+            doubt,
+            spare: None,
+            shade,
+            tops: None,
+            surface: None,
+            sphere: None,
+            rests: None,
+            keeps: false,
+        }
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -130,6 +161,16 @@ impl CpuRenderer {
     /// Draws one frame by forward projection in planes.
     pub fn render(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         check(camera, options)?;
+        let options = &options.drawn();
+        match options.projection {
+            Projection::Perspective if self.rests_at(camera, options) => {
+                return self.render_sphere(camera, options, outputs);
+            }
+            Projection::Perspective => {}
+            Projection::Cube => return self.render_cube(camera, options, outputs),
+            Projection::Ortho { .. } => return self.rays(camera, options, outputs, "cpu"),
+            _ => return self.render_sphere(camera, options, outputs),
+        }
         if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
@@ -176,10 +217,189 @@ impl CpuRenderer {
         Ok(frame)
     }
 
+    /// Draws pictures of any sizes, each thread one whole at a time, and hands them on as they are done, in any order; `done` may
+    /// give the frame back, whose memory another takes. Its first error ends the work.
+    pub fn each(
+        &mut self,
+        cameras: &[Camera],
+        exact: bool,
+        options: &Options,
+        outputs: Outputs,
+        done: &(dyn Fn(usize, Frame) -> Result<Option<Frame>> + Sync),
+    ) -> Result<()> {
+        let threads = rayon::current_num_threads().min(cameras.len());
+        let (next, failure) = (AtomicUsize::new(0), Mutex::new(None::<(usize, Error)>));
+        let work = |cpu: &mut CpuRenderer| {
+            loop {
+                let i = next.fetch_add(1, Ordering::Relaxed);
+                let Some(camera) = cameras.get(i) else { return };
+                let drawn = match exact {
+                    true => cpu.exact(camera, options, outputs),
+                    false => cpu.render(camera, options, outputs),
+                };
+                match drawn.and_then(|frame| done(i, frame)) {
+                    Ok(spare) => cpu.reuse(spare),
+                    Err(e) => {
+                        // None begins another.
+                        next.store(cameras.len(), Ordering::Relaxed);
+                        let mut failure = failure.lock().expect("no holder panics");
+                        if failure.as_ref().is_none_or(|(before, _)| i < *before) {
+                            *failure = Some((i, e));
+                        }
+                        return;
+                    }
+                }
+            }
+        };
+        // Larger pictures are spread over the threads by themselves, in less memory.
+        let large = |c: &Camera| u64::from(c.width) * u64::from(c.height) > ALONE_PIXELS;
+        if threads < 2 || cameras.iter().any(large) {
+            work(self);
+        } else {
+            std::thread::scope(|scope| {
+                for _ in 0..threads {
+                    let mut cpu = CpuRenderer::new(&self.scene, &self.resident);
+                    let work = &work;
+                    scope.spawn(move || {
+                        // What would be spread over all threads stays in one.
+                        match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+                            Ok(pool) => pool.install(|| work(&mut cpu)),
+                            Err(_) => work(&mut cpu),
+                        }
+                    });
+                }
+            });
+        }
+        failure.into_inner().expect("no holder panics").map_or(Ok(()), |(_, e)| Err(e))
+    }
+
+    /// Whether planes are kept while the eye rests, so that turning costs little: [`CpuRenderer::render`] then takes them from
+    /// the second frame of an eye on. Their memory is that of ten pictures.
+    pub fn keep_sphere(&mut self, keeps: bool) {
+        self.keeps = keeps;
+        if !keeps {
+            (self.sphere, self.rests) = (None, None);
+        }
+    }
+
+    /// Whether the eye has not moved since the frame before, though the view has turned.
+    fn rests_at(&mut self, camera: &Camera, options: &Options) -> bool {
+        // These need the planes of the view itself.
+        let by_view = options.smooth || options.shadows || options.normals == Normals::Derived;
+        if !self.keeps || by_view || options.planes != Planes::Auto || options.samples != 1.0 || options.remap == Remap::Nearest {
+            return false;
+        }
+        let before = self.rests.replace((*camera, *options));
+        // A view that does not turn costs least as it is; one that is wide is mostly its corners.
+        let same = |(old, how): (Camera, Options)| old.eye == camera.eye && how == *options;
+        before.is_some_and(same)
+            && camera.fov <= 100.0
+            && (before.is_some_and(|b| b.0 != *camera) || self.sphere.is_some())
+    }
+
+    /// Draws one frame from the planes around the eye, and fills those that it is the first to show.
+    fn render_sphere(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
+        if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
+            return Ok(frame);
+        }
+        let perspective = options.projection == Projection::Perspective;
+        let start = Instant::now();
+        let rays = Rays::new(camera, options.projection, self.resident.dims);
+        // Pixels of a perspective stand closer towards its corners.
+        let layout = match perspective {
+            true => Layout::new(&rays, 0.0, SPHERE_DENSITY),
+            false => Layout::new(&rays, camera.yaw, 1.0),
+        };
+        if layout.total() > SPHERE_LIMIT {
+            return Err(Error::Limit(format!(
+                "{} picture of {} × {} pixels: its sphere takes {} samples, {SPHERE_LIMIT} are drawn at once; try a smaller --size",
+                options.projection,
+                camera.width,
+                camera.height,
+                layout.total()
+            )));
+        }
+        let mut frame = self.frame(camera, outputs);
+        let mut sphere = match self.sphere.take() {
+            Some(sphere) if sphere.serves(camera, options, &layout) => sphere,
+            old => Box::new(Sphere::new(&self.resident, camera, options, layout, old)),
+        };
+        let setup_ms = milliseconds(start);
+
+        let at = Instant::now();
+        let counters = sphere.fill(&self.resident, camera, &rays);
+        let traverse_ms = milliseconds(at);
+
+        let at = Instant::now();
+        let doubts = if sphere.refines(options) { self.color.len() } else { 0 };
+        self.doubt.resize(doubts, refine::Doubt::NONE);
+        let mut pixels = remap::Pixels {
+            color: &mut self.color,
+            depth: &mut frame.depth,
+            voxel: &mut frame.voxel,
+            doubt: &mut self.doubt,
+        };
+        sphere.remap(&self.resident, camera, &rays, &mut pixels);
+        sphere.refine(&self.resident, camera, &rays, &mut pixels);
+        frame.voxel.par_iter_mut().for_each(|v| *v = world_voxel(&sphere.setup, *v));
+        let remap_ms = milliseconds(at);
+
+        let at = Instant::now();
+        match perspective {
+            true => self.shade(camera, options, None, &mut frame),
+            false => self.shade_rays(camera, options, &rays, &mut frame),
+        }
+        let shade_ms = milliseconds(at);
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "sphere");
+        frame.stats.planes = sphere.setup.planes.len() as u32;
+        frame.stats.planes_full = sphere.setup.planes_full;
+        frame.stats.levels_drawn = sphere.setup.levels;
+        frame.stats.left_out = sphere.specialization.left_out();
+        frame.stats.count(counters);
+        frame.stats.cpu_ms = Some(StageTimes {
+            setup: setup_ms,
+            traverse: traverse_ms,
+            remap: remap_ms,
+            shade: shade_ms,
+            total: milliseconds(start),
+        });
+        self.sphere = Some(sphere);
+        Ok(frame)
+    }
+
+    /// Draws the six faces of a cube, each as a picture of its own.
+    fn render_cube(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
+        let options = Options { projection: Projection::Perspective, ..*options };
+        let keeps = std::mem::replace(&mut self.keeps, false);
+        let faces: Result<Vec<Frame>> =
+            face_cameras(camera).iter().map(|face| self.render(face, &options, outputs)).collect();
+        self.keeps = keeps;
+        Ok(join_faces(camera, faces?))
+    }
+
+    fn shade_rays(&mut self, camera: &Camera, options: &Options, rays: &Rays, frame: &mut Frame) {
+        if let Some(angles) = rays.angles() {
+            let params = shade_rays::round_params(camera, rays, options);
+            let (color, depth) = (&self.color, &frame.depth);
+            return shade_rays::shade_round(angles, &params, color, depth, &mut self.shade, &mut frame.color);
+        }
+        let size = [camera.width, camera.height].map(|v| v as usize);
+        shade_rays::shade_rays(rays, size, options, &self.color, &frame.depth, &mut frame.color);
+    }
+
     /// Draws one frame with one f64 ray a pixel at level 0.
     pub fn exact(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
         check(camera, options)?;
-        if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
+        self.rays(camera, &options.drawn(), outputs, "exact")
+    }
+
+    fn rays(&mut self, camera: &Camera, options: &Options, outputs: Outputs, device: &str) -> Result<Frame> {
+        // Parallel rays begin beside the eye.
+        let inside = match options.projection {
+            Projection::Ortho { .. } => None,
+            _ => inside_solid(&self.scene, &self.resident, camera, options, outputs),
+        };
+        if let Some(frame) = inside {
             return Ok(frame);
         }
         let mut frame = self.frame(camera, outputs);
@@ -188,8 +408,14 @@ impl CpuRenderer {
         crate::cpu::exact::exact(&self.scene, &self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
-        self.shade(camera, options, None, &mut frame);
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "exact", "exact");
+        match options.projection {
+            Projection::Perspective => self.shade(camera, options, None, &mut frame),
+            projection => {
+                let rays = Rays::new(camera, projection, self.resident.dims);
+                self.shade_rays(camera, options, &rays, &mut frame);
+            }
+        }
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, device, "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
             shade: milliseconds(at),

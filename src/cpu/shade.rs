@@ -106,17 +106,17 @@ impl ShadeParams {
 }
 
 /// The direction towards azimuth (clockwise from north, −z) and elevation, in degrees.
-fn towards([azimuth, elevation]: [f64; 2]) -> glam::DVec3 {
+pub(super) fn towards([azimuth, elevation]: [f64; 2]) -> glam::DVec3 {
     let ((sin, cos), (up, level)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
     glam::DVec3::new(sin * level, up, -cos * level)
 }
 
 /// Of each [`PHASES`] pixels side by side the first are shaded together, the second together, and so on: the turns of the
 /// spiral repeat, so that all of them look at neighbours equally far away.
-const PHASES: usize = 4;
+pub(super) const PHASES: usize = 4;
 
 /// Pixels of a phase that are shaded together. Their depths, normals and light fit a first-level cache many times.
-const LANES: usize = 64;
+pub(super) const LANES: usize = 64;
 
 /// Rows that one task shades.
 const ROWS_A_TASK: usize = 8;
@@ -125,22 +125,22 @@ const ROWS_A_TASK: usize = 8;
 /// `PHASES` rows. Pixels of a phase lie side by side there, and so do their neighbours: nothing is gathered.
 #[derive(Default)]
 pub struct Scratch {
-    depth: Vec<f32>,
+    pub(super) depth: Vec<f32>,
     /// The first component of the rays of a row's pixels, in the same order.
     rays: Vec<f32>,
-    split: Split,
+    pub(super) split: Split,
 }
 
 /// Where a pixel stands in [`Scratch`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Split {
+pub(super) struct Split {
     width: usize,
     height: usize,
     /// Pixels around the picture that are sky.
-    border: usize,
+    pub(super) border: usize,
     /// Lanes before the picture's first, and all lanes of a phase.
     left: usize,
-    lanes: usize,
+    pub(super) lanes: usize,
 }
 
 impl Split {
@@ -156,19 +156,19 @@ impl Split {
 
     /// Place of a pixel within its row.
     #[inline(always)]
-    fn in_row(&self, x: i32) -> usize {
+    pub(super) fn in_row(&self, x: i32) -> usize {
         let lane = (self.left as i32 + x.div_euclid(PHASES as i32)) as usize;
         x.rem_euclid(PHASES as i32) as usize * self.lanes + lane
     }
 
     #[inline(always)]
-    fn at(&self, x: i32, y: i32) -> usize {
+    pub(super) fn at(&self, x: i32, y: i32) -> usize {
         (y + self.border as i32) as usize * PHASES * self.lanes + self.in_row(x)
     }
 }
 
 impl Scratch {
-    fn fill(&mut self, p: &ShadeParams, depth: &[f32]) {
+    pub(super) fn fill(&mut self, p: &ShadeParams, depth: &[f32]) {
         let split = Split::new(p);
         let row = PHASES * split.lanes;
         if split != self.split {
@@ -306,36 +306,36 @@ fn shade_rows(task: RowsTask<'_>) {
     }
 }
 
-type Lanes = [f32; LANES];
+pub(super) type Lanes = [f32; LANES];
 
 /// The lesser and the greater of two numbers, and the second where the first is none: as vectors have it.
 #[inline(always)]
-fn least(v: f32, most: f32) -> f32 {
+pub(super) fn least(v: f32, most: f32) -> f32 {
     if v < most { v } else { most }
 }
 
 #[inline(always)]
-fn greatest(v: f32, least: f32) -> f32 {
+pub(super) fn greatest(v: f32, least: f32) -> f32 {
     if v > least { v } else { least }
 }
 
 /// All bits set or none: compilers make branches of what chooses between numbers in other ways.
 #[inline(always)]
-fn mask(set: bool) -> u32 {
+pub(super) fn mask(set: bool) -> u32 {
     0u32.wrapping_sub(u32::from(set))
 }
 
 #[inline(always)]
-fn select(mask: u32, set: f32, clear: f32) -> f32 {
+pub(super) fn select(mask: u32, set: f32, clear: f32) -> f32 {
     f32::from_bits((set.to_bits() & mask) | (clear.to_bits() & !mask))
 }
 
 /// The sign of an f32.
-const SIGN: u32 = 1 << 31;
+pub(super) const SIGN: u32 = 1 << 31;
 
 /// From three components, 0 to 255, to a packed colour.
 #[inline(always)]
-fn pack(c: [f32; 3]) -> u32 {
+pub(super) fn pack(c: [f32; 3]) -> u32 {
     // In f32 numbers beside 2²³ are whole: the sum rounds, and its low bits are the number.
     let byte = |v: f32| (least(greatest(v, 0.0), 255.0) + 8_388_608.0).to_bits() & 255;
     byte(c[0]) | byte(c[1]) << 8 | byte(c[2]) << 16 | 0xFF00_0000

@@ -197,6 +197,8 @@ fn traverse_planes<R: Real>(
 
     struct Task<'a> {
         planes: &'a [Plane],
+        /// As [`Setup::done`], of these planes.
+        done: &'a [bool],
         color: &'a mut [u32],
         depth: &'a mut [f32],
         voxel: &'a mut [[i32; 4]],
@@ -205,14 +207,18 @@ fn traverse_planes<R: Real>(
     let (mut color, mut depth, mut voxel) =
         (buffer.color.as_mut_slice(), buffer.depth.as_mut_slice(), buffer.voxel.as_mut_slice());
     for fan in &setup.fans {
-        let planes = &setup.planes[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
-        for planes in planes.chunks(PLANES_A_TASK) {
+        let own = fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize;
+        let mut done = setup.done.get(own.clone()).unwrap_or_default().chunks(PLANES_A_TASK);
+        for planes in setup.planes[own].chunks(PLANES_A_TASK) {
+            let done = done.next().unwrap_or_default();
             let n = planes.len() * fan.n_samples as usize;
             let (c, d, v);
             (c, color) = color.split_at_mut(if colors { n } else { 0 });
             (d, depth) = depth.split_at_mut(n);
             (v, voxel) = voxel.split_at_mut(if voxels { n } else { 0 });
-            tasks.push(Task { planes, color: c, depth: d, voxel: v });
+            if done.is_empty() || done.contains(&false) {
+                tasks.push(Task { planes, done, color: c, depth: d, voxel: v });
+            }
         }
     }
     let tasks = tasks.into_par_iter().with_max_len(1);
@@ -224,6 +230,9 @@ fn traverse_planes<R: Real>(
         let walk = WalkScratch { open: Vec::new(), skip: Vec::new(), sight };
         let mut scratch = Scratch { walk, ground: ground::Scratch::default() };
         for (k, plane) in task.planes.iter().enumerate() {
+            if task.done.get(k) == Some(&true) {
+                continue;
+            }
             let at = k * n..(k + 1) * n;
             let color = if colors { &mut task.color[at.clone()] } else { &mut [][..] };
             let depth = &mut task.depth[at.clone()];

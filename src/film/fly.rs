@@ -115,6 +115,8 @@ pub struct Film<'a> {
     pub range: Range<usize>,
     /// Frames a second.
     pub fps: f64,
+    /// Frames are pictures of the whole sphere: MP4 says so to players.
+    pub spherical: bool,
     /// Keep the parts that an earlier run has saved.
     pub resume: bool,
     /// What makes the film beside its cameras (scene, options); a resumed film must have the same.
@@ -378,7 +380,8 @@ fn mp4_film(film: &Film, codec: Codec, draw: &mut Draw) -> Result<Outcome> {
     for (part, range) in &parts {
         let Some((config, chunk)) = segments.remove(part) else { break };
         let size = [padded(width) as u16, padded(height) as u16];
-        let form = form.get_or_insert_with(|| Form { codec, config: config.clone(), size, rate });
+        let spherical = film.spherical;
+        let form = form.get_or_insert_with(|| Form { codec, config: config.clone(), size, rate, spherical });
         if form.config != config {
             let what =
                 "was encoded otherwise than those before it, by another version; remove it and use --resume again";
@@ -746,7 +749,7 @@ mod tests {
                 Err(e) => return (Err(e), 0),
             };
             let (cameras, range, resume) = (&self.cameras[..], self.range.clone(), self.resume);
-            let film = Film { output, kind, cameras, range, fps: 25.0, resume, source, stop: &stop };
+            let film = Film { output, kind, cameras, range, fps: 25.0, spherical: false, resume, source, stop: &stop };
             let outcome = fly(&film, &mut |cameras, _| {
                 drawn += 1;
                 stop.store(drawn >= self.stop_after, Ordering::Relaxed);
@@ -815,7 +818,17 @@ mod tests {
         let out = dir.path().join("film");
         let (stop, cameras) = (AtomicBool::new(false), cameras(9));
         let (kind, range, source) = (Kind::Folder, 0..9, Value::Null);
-        let film = Film { output: &out, kind, cameras: &cameras, range, fps: 25.0, resume: false, source, stop: &stop };
+        let film = Film {
+            output: &out,
+            kind,
+            cameras: &cameras,
+            range,
+            fps: 25.0,
+            spherical: false,
+            resume: false,
+            source,
+            stop: &stop,
+        };
         let error = fly(&film, &mut |c, _| match c[0].eye.x {
             1.0 => Err(Error::Limit("too far".into())),
             _ => Ok(picture(&c[0])),

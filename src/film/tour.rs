@@ -420,6 +420,14 @@ fn deficit(path: &Path, ground: &Ground) -> f64 {
     path.poses(looks).iter().map(|p| ground.near(p.eye.x, p.eye.z) + floor - p.eye.y).fold(f64::NEG_INFINITY, f64::max)
 }
 
+/// A place over the middle of a scene, a tenth of its height above what stands there.
+pub fn within(scene: &Scene) -> DVec3 {
+    let [nx, ny, nz] = scene.dims();
+    let top = scene.levels[0].solid.column(nx / 2, nz / 2).last().map_or(0, |run| run.end());
+    let above = f64::from(top) + 0.1 * f64::from(ny) + 2.0;
+    DVec3::new(f64::from(nx) / 2.0, above, f64::from(nz) / 2.0)
+}
+
 #[cfg(test)]
 mod tests {
     use planecast_encoder::{ColorMode, ColumnsBuilder, Encoding, Level, MipRule, Run};

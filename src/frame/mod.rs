@@ -3,8 +3,11 @@
 #[cfg(not(target_arch = "wasm32"))]
 pub mod aim;
 pub mod camera;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod cameras;
 pub mod options;
 pub mod picture;
 pub mod plane_setup;
 pub mod preset;
+pub mod projection;
 pub mod specialize;

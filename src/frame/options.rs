@@ -1,6 +1,7 @@
 //! What a picture is drawn with.
 
 use crate::cpu::shade::SSAO_SAMPLES;
+use crate::frame::projection::Projection;
 use crate::frame::specialize::Features;
 
 /// Neighbours that occlusion may look at.
@@ -130,6 +131,8 @@ pub struct Options {
     pub sky: bool,
     /// What may be left out where the frame does not need it; the picture is the same.
     pub specialize: Features,
+    /// How directions become pixels.
+    pub projection: Projection,
 }
 
 impl Default for Options {
@@ -155,11 +158,21 @@ impl Default for Options {
             smooth: false,
             sky: true,
             specialize: Features::ALL,
+            projection: Projection::Perspective,
         }
     }
 }
 
 impl Options {
+    /// What is drawn of these options: surfaces, shadows and derived normals follow the planes of a perspective, of which a cube
+    /// has six; other projections go without.
+    pub fn drawn(&self) -> Options {
+        match self.projection {
+            Projection::Perspective | Projection::Cube => *self,
+            _ => Options { smooth: false, shadows: false, normals: Normals::Screen, ..*self },
+        }
+    }
+
     /// The shading, with normals where a sun needs them.
     pub fn lit(&self) -> Shading {
         match (self.sun.is_some() || self.shadows, self.shading) {
@@ -212,6 +225,7 @@ impl Options {
         add(o.smooth, "--smooth on".into());
         add(!o.sky, "--sky none".into());
         add(o.specialize != usual.specialize, format!("--specialize {}", o.specialize));
+        add(o.projection != usual.projection, format!("--projection {}", o.projection));
         flags.join(" ")
     }
 }

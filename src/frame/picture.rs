@@ -35,6 +35,39 @@ pub struct StageTimes {
     pub total: f64,
 }
 
+impl std::ops::AddAssign for StageTimes {
+    fn add_assign(&mut self, o: StageTimes) {
+        self.setup += o.setup;
+        self.traverse += o.traverse;
+        self.remap += o.remap;
+        self.shade += o.shade;
+        self.total += o.total;
+    }
+}
+
+impl Stats {
+    /// Of two pictures that are put together: work and times are added, the rest is that of the other where this is empty.
+    #[must_use]
+    pub fn joined(mut self, other: Stats) -> Stats {
+        if self.device.is_empty() {
+            return other;
+        }
+        self.planes += other.planes;
+        self.planes_full += other.planes_full;
+        self.levels_drawn = self.levels_drawn.max(other.levels_drawn);
+        self.holes += other.holes;
+        self.columns_visited += other.columns_visited;
+        self.runs_visited += other.runs_visited;
+        self.spans_drawn += other.spans_drawn;
+        for (own, other) in [(&mut self.cpu_ms, other.cpu_ms), (&mut self.gpu_ms, other.gpu_ms)] {
+            if let (Some(own), Some(other)) = (own, other) {
+                *own += other;
+            }
+        }
+        self
+    }
+}
+
 /// Work of one frame.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Stats {

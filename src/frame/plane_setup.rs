@@ -13,6 +13,8 @@
 //!
 //! Everything here is computed once a frame in f64 and handed to every kernel as the same numbers.
 
+pub mod sphere;
+
 use crate::frame::camera::{Basis, Camera};
 use crate::frame::options::{Options, Planes, Remap};
 use crate::world::tables::Resident;
@@ -44,6 +46,8 @@ pub struct Setup {
     pub planes_full: u32,
     /// Samples of all planes together: the plane buffer's length.
     pub samples: usize,
+    /// Planes that the buffer has from earlier frames and that are not walked; empty: none.
+    pub done: Vec<bool>,
     /// The voxel of level 0 that holds the eye; along a repeated axis in the first period.
     pub eye_cell: [i32; 3],
     /// The eye's place in that voxel, 0 ≤ · < 1, as an f32 too: nearer to the voxel's end it would stand in the next one.
@@ -233,6 +237,7 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
         vanishing,
         planes_full,
         samples,
+        done: Vec::new(),
         eye_cell: world.eye_cell,
         eye_fract: world.eye_fract,
         period_offset: world.period_offset,

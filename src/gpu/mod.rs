@@ -21,6 +21,7 @@ use crate::frame::camera::Camera;
 use crate::frame::options::{Options, Shading};
 use crate::frame::picture::{Frame, StageTimes, Stats};
 use crate::frame::plane_setup::{Setup, plane_setup};
+use crate::frame::projection::Projection;
 use crate::frame::specialize::{Feature, Specialization, Twin};
 use crate::world::tables::Resident;
 pub use engine::Shader;
@@ -28,6 +29,7 @@ use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
 use pool::GpuResident;
 use present::ByteOrder;
+use rayon::prelude::*;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, mpsc};
@@ -120,6 +122,8 @@ pub struct GpuRenderer {
     engine: Engine,
     tables: GpuResident,
     buffers: HashMap<&'static str, wgpu::Buffer>,
+    /// Of pictures that are sent together.
+    slots: Vec<HashMap<&'static str, wgpu::Buffer>>,
     queries: Option<wgpu::QuerySet>,
     pending: VecDeque<Pending>,
     /// Read-back buffers that no frame is using.
@@ -241,6 +245,26 @@ fn refilled<T: bytemuck::Pod>(mut memory: Vec<T>, bytes: &[u8]) -> Vec<T> {
 /// Timestamps: begin and end of traverse, remap and shade.
 const TIMES: u32 = 6;
 
+/// Pictures that are sent together at most, and their pixels: each has buffers of its own meanwhile.
+const BATCH: usize = 64;
+const BATCH_PIXELS: u64 = 1 << 22;
+
+/// A frame of no pixels.
+fn empty() -> Frame {
+    let (color, depth, voxel) = Default::default();
+    Frame { width: 0, height: 0, color, depth, voxel, stats: Stats::default() }
+}
+
+/// Asks for a read-back buffer to be mapped.
+fn map(readback: &wgpu::Buffer, parts: Parts) -> Mapped {
+    let (send, mapped) = mpsc::channel();
+    readback.map_async(wgpu::MapMode::Read, ..parts.end, move |result| {
+        // The renderer may be gone by now: then nobody waits for the answer.
+        let _ = send.send(result);
+    });
+    mapped
+}
+
 /// A size in pixels or planes over groups of `by`.
 fn groups(n: u32, by: u32) -> u32 {
     n.div_ceil(by)
@@ -325,6 +349,7 @@ impl GpuRenderer {
             engine,
             tables,
             buffers,
+            slots: Vec::new(),
             queries,
             pending,
             free,
@@ -446,6 +471,108 @@ impl GpuRenderer {
         self.submit_from(Begin::Traverse, camera, options, outputs)
     }
 
+    /// Draws pictures of any sizes and hands them on in order; `done` may give a frame back. Several are sent to the device in
+    /// one submission, stage by stage, so that their walks run side by side.
+    pub fn each(
+        &mut self,
+        cameras: &[Camera],
+        options: &Options,
+        outputs: Outputs,
+        done: &dyn Fn(usize, Frame) -> Result<Option<Frame>>,
+    ) -> Result<()> {
+        assert!(self.pending.is_empty(), "frames on their way must be collected first");
+        let mut from = 0;
+        while from < cameras.len() {
+            let mut pixels = 0;
+            let fits = |camera: &&Camera| {
+                pixels += u64::from(camera.width) * u64::from(camera.height);
+                pixels <= BATCH_PIXELS
+            };
+            let n = cameras[from..].iter().take(BATCH).take_while(fits).count().max(1);
+            for (i, frame) in self.batch(&cameras[from..from + n], options, outputs)?.into_iter().enumerate() {
+                self.reuse(done(from + i, frame)?);
+            }
+            from += n;
+        }
+        Ok(())
+    }
+
+    /// Draws some pictures in one submission, each in buffers of its own.
+    fn batch(&mut self, cameras: &[Camera], options: &Options, outputs: Outputs) -> Result<Vec<Frame>> {
+        struct Job {
+            at: usize,
+            plan: Plan,
+            readback: wgpu::Buffer,
+            parts: Parts,
+        }
+        let start = Instant::now();
+        cameras.iter().try_for_each(|camera| self.check(camera, options))?;
+        let resident = Arc::clone(&self.resident);
+        let prepared: Vec<_> = cameras.par_iter().map(|camera| Prepared::new(&resident, camera, options)).collect();
+        let (mut frames, mut jobs) = (Vec::with_capacity(cameras.len()), Vec::with_capacity(cameras.len()));
+        self.slots.resize_with(self.slots.len().max(cameras.len()), HashMap::new);
+        for (at, Prepared { camera, setup, upload, .. }) in prepared.iter().enumerate() {
+            if let Some(frame) = self.inside(camera, options, outputs) {
+                frames.push(*frame);
+                continue;
+            }
+            self.check_steps(setup, options)?;
+            let mut plan = Plan::new(&self.resident, setup, camera, options, outputs, &self.options, &self.engine);
+            plan.stage_times = false;
+            self.in_slot(at, |gpu| {
+                gpu.reserve(&plan)?;
+                gpu.upload(upload, camera, options.ssao_samples);
+                Ok(())
+            })?;
+            let parts = plan.parts(true, self.depth);
+            frames.push(self.empty_frame(&plan, setup, camera, options));
+            jobs.push(Job { at, readback: self.readback(&parts)?, plan, parts });
+        }
+        let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime();
+        let mut recorder = Recorder { pass: Some(pass), encoder };
+        // Stage by stage: nothing that one picture's walks write is another's to wait for.
+        for job in &jobs {
+            self.in_slot(job.at, |gpu| gpu.traverse(&mut recorder, &job.plan, options))?;
+        }
+        for job in &jobs {
+            self.in_slot(job.at, |gpu| gpu.remap(&mut recorder, &job.plan))?;
+        }
+        for job in &jobs {
+            self.in_slot(job.at, |gpu| gpu.shade(&mut recorder, &job.plan, ByteOrder::Rgba))?;
+        }
+        let Recorder { pass, mut encoder } = recorder;
+        drop(pass);
+        for job in &jobs {
+            self.in_slot(job.at, |gpu| {
+                gpu.copy(&mut encoder, &job.plan, job.parts, &job.readback, false);
+                Ok(())
+            })?;
+        }
+        let submission = self.engine.queue.submit([encoder.finish()]);
+        let mapped: Vec<_> = jobs.iter().map(|job| map(&job.readback, job.parts)).collect();
+        let setup_ms = start.elapsed().as_secs_f64() * 1e3 / cameras.len() as f64;
+        let mut begun = Some(submission);
+        for (job, mapped) in jobs.into_iter().zip(mapped) {
+            let frame = std::mem::replace(&mut frames[job.at], empty());
+            frames[job.at] = self.read(frame, mapped, job.readback, job.parts, begun.take(), setup_ms, start)?;
+        }
+        // Stages are not told apart, nor are pictures.
+        let total = start.elapsed().as_secs_f64() * 1e3 / cameras.len() as f64;
+        for frame in &mut frames {
+            frame.stats.gpu_ms = Some(StageTimes { setup: setup_ms, total, ..StageTimes::default() });
+        }
+        Ok(frames)
+    }
+
+    /// Works with the buffers of picture `at` of a batch.
+    fn in_slot<T>(&mut self, at: usize, work: impl FnOnce(&mut GpuRenderer) -> Result<T>) -> Result<T> {
+        std::mem::swap(&mut self.buffers, &mut self.slots[at]);
+        let result = work(self);
+        std::mem::swap(&mut self.buffers, &mut self.slots[at]);
+        result
+    }
+
     /// Draws one frame from what an earlier stage left, on the CPU perhaps: to compare stages one by one.
     pub fn render_from(
         &mut self,
@@ -517,6 +644,41 @@ impl GpuRenderer {
         Ok(())
     }
 
+    /// Whether a frame can be drawn here at all.
+    fn check(&self, camera: &Camera, options: &Options) -> Result<()> {
+        check(camera, options)?;
+        if options.projection != Projection::Perspective {
+            let what = format!("the gpu draws no {} picture; use the cpu", options.projection.name());
+            return Err(Error::Argument(what));
+        }
+        if options.f64_traversal {
+            return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
+        }
+        Ok(())
+    }
+
+    /// The frame of an eye inside a voxel.
+    fn inside(&self, camera: &Camera, options: &Options, outputs: Outputs) -> Option<Box<Frame>> {
+        let mut frame = inside_solid(&self.scene, &self.resident, camera, options, outputs)?;
+        frame.stats.device = self.engine.name.clone();
+        frame.stats.cpu_ms = None;
+        frame.stats.gpu_ms = Some(StageTimes::default());
+        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        Some(Box::new(frame))
+    }
+
+    /// A frame without its picture.
+    fn empty_frame(&self, plan: &Plan, setup: &Setup, camera: &Camera, options: &Options) -> Frame {
+        let mut frame = Frame { width: camera.width, height: camera.height, ..empty() };
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, &self.engine.name, plan.kernel.name());
+        frame.stats.planes = setup.planes.len() as u32;
+        frame.stats.planes_full = setup.planes_full;
+        frame.stats.levels_drawn = setup.levels;
+        frame.stats.left_out = plan.specialization.left_out();
+        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        frame
+    }
+
     /// Sends a frame's stages to the device; the picture stays there.
     fn draw_from(
         &mut self,
@@ -526,17 +688,10 @@ impl GpuRenderer {
         outputs: Outputs,
         order: ByteOrder,
     ) -> Result<Drawn> {
-        check(camera, options)?;
-        if options.f64_traversal {
-            return Err(Error::Argument("the gpu walks in f32; use the cpu for f64".into()));
-        }
+        self.check(camera, options)?;
         let start = Instant::now();
-        if let Some(mut frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
-            frame.stats.device = self.engine.name.clone();
-            frame.stats.cpu_ms = None;
-            frame.stats.gpu_ms = Some(StageTimes::default());
-            frame.stats.bytes_scene_gpu = self.tables.bytes;
-            return Ok(Drawn::Inside(Box::new(frame)));
+        if let Some(frame) = self.inside(camera, options, outputs) {
+            return Ok(Drawn::Inside(frame));
         }
         let Prepared { setup, mut upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
             Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
@@ -585,19 +740,7 @@ impl GpuRenderer {
         self.engine.queue.submit([encoder.finish()]);
         let setup_ms = start.elapsed().as_secs_f64() * 1e3;
 
-        let mut frame = Frame {
-            width: camera.width,
-            height: camera.height,
-            color: Vec::new(),
-            depth: Vec::new(),
-            voxel: Vec::new(),
-            stats: frame_stats(&self.scene, &self.resident, camera, options, &self.engine.name, plan.kernel.name()),
-        };
-        frame.stats.planes = setup.planes.len() as u32;
-        frame.stats.planes_full = setup.planes_full;
-        frame.stats.levels_drawn = setup.levels;
-        frame.stats.left_out = plan.specialization.left_out();
-        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        let frame = self.empty_frame(&plan, &setup, camera, options);
         Ok(Drawn::Sent(Box::new(Sent { plan, frame, start, setup_ms })))
     }
 }
@@ -1090,9 +1233,17 @@ impl GpuRenderer {
     /// Copies what is asked for into a read-back buffer and asks for it to be mapped; does not wait.
     fn read_back(&mut self, plan: &Plan, frame: Frame, start: Instant, setup_ms: f64) -> Result<()> {
         let parts = plan.parts(true, self.depth);
-        let place = self.free.iter().position(|b| b.size() >= parts.end);
-        let readback = match place {
-            Some(i) => self.free.swap_remove(i),
+        let readback = self.readback(&parts)?;
+        let (submission, mapped) = self.ask(plan, parts, &readback);
+        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
+        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
+        Ok(())
+    }
+
+    /// A read-back buffer that is long enough.
+    fn readback(&mut self, parts: &Parts) -> Result<wgpu::Buffer> {
+        match self.free.iter().position(|b| b.size() >= parts.end) {
+            Some(i) => Ok(self.free.swap_remove(i)),
             None => {
                 self.free.clear();
                 self.engine.checked(&format!("read-back buffer of {} MiB", parts.end >> 20), || {
@@ -1102,21 +1253,31 @@ impl GpuRenderer {
                         usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
                         mapped_at_creation: false,
                     })
-                })?
+                })
             }
-        };
-        let (submission, mapped) = self.ask(plan, parts, &readback);
-        let drawing = Drawing { frame, start, submission, mapped, readback, parts, setup_ms };
-        self.pending.push_back(Pending::Drawing(Box::new(drawing)));
-        Ok(())
+        }
     }
 
     /// Copies a frame's parts into a read-back buffer and asks for it to be mapped.
     fn ask(&self, plan: &Plan, parts: Parts, readback: &wgpu::Buffer) -> (wgpu::SubmissionIndex, Mapped) {
-        // Figures alone begin with the counters.
-        let pixels = if parts.counters > 0 { plan.pixels() } else { 0 };
         // A submission of its own: timestamps copied in the one that resolves them can read 0 (wgpu issue 6406).
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.copy(&mut encoder, plan, parts, readback, true);
+        let submission = self.engine.queue.submit([encoder.finish()]);
+        (submission, map(readback, parts))
+    }
+
+    /// Records the copies of a frame's parts.
+    fn copy(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        plan: &Plan,
+        parts: Parts,
+        readback: &wgpu::Buffer,
+        times: bool,
+    ) {
+        // Figures alone begin with the counters.
+        let pixels = if parts.counters > 0 { plan.pixels() } else { 0 };
         let mut copy = |name: &str, at: u64, bytes: u64| {
             if bytes > 0 {
                 encoder.copy_buffer_to_buffer(&self.buffers[name], 0, readback, at, bytes);
@@ -1127,19 +1288,29 @@ impl GpuRenderer {
         copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
         copy("scratch", parts.counters, 12 * parts.n_counters as u64);
         copy("holes", parts.holes, 4);
-        copy("times", parts.times, 8 * u64::from(TIMES));
-        let submission = self.engine.queue.submit([encoder.finish()]);
-        let (send, mapped) = mpsc::channel();
-        readback.map_async(wgpu::MapMode::Read, ..parts.end, move |result| {
-            // The renderer may be gone by now: then nobody waits for the answer.
-            let _ = send.send(result);
-        });
-        (submission, mapped)
+        copy("times", parts.times, if times { 8 * u64::from(TIMES) } else { 0 });
     }
 
     fn finish(&mut self, drawing: Drawing) -> Result<Frame> {
-        let Drawing { mut frame, start, submission, mapped, readback, parts, setup_ms } = drawing;
-        self.engine.wait(Some(submission))?;
+        let Drawing { frame, start, submission, mapped, readback, parts, setup_ms } = drawing;
+        self.read(frame, mapped, readback, parts, Some(submission), setup_ms, start)
+    }
+
+    /// Reads a frame back; waits for a submission, if there is one to wait for.
+    #[expect(clippy::too_many_arguments, reason = "the fields of a frame on its way")]
+    fn read(
+        &mut self,
+        mut frame: Frame,
+        mapped: Mapped,
+        readback: wgpu::Buffer,
+        parts: Parts,
+        submission: Option<wgpu::SubmissionIndex>,
+        setup_ms: f64,
+        start: Instant,
+    ) -> Result<Frame> {
+        if submission.is_some() {
+            self.engine.wait(submission)?;
+        }
         let lost = |e: String| {
             Error::Device(format!("{}: cannot read the frame back ({e}); try --device cpu", self.engine.name))
         };

@@ -18,3 +18,5 @@ pub mod plot;
 pub mod report;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod stability;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod viewshed;

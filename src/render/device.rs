@@ -6,6 +6,8 @@ use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::picture::Frame;
 #[cfg(feature = "gpu")]
+use crate::frame::projection::{Projection, face_cameras, join_faces};
+#[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
 use crate::world::World;
 use crate::world::tables::Resident;
@@ -38,6 +40,9 @@ pub struct Renderer {
     fall_back: Option<(Arc<Scene>, Arc<Resident>)>,
     #[cfg(feature = "gpu")]
     ahead: Ahead,
+    /// Draws what the GPU does not.
+    #[cfg(feature = "gpu")]
+    beside: Option<Box<CpuRenderer>>,
 }
 
 enum Backend {
@@ -115,6 +120,8 @@ impl Renderer {
             fall_back: (device == Device::Auto).then(|| (Arc::clone(scene), Arc::clone(resident))),
             #[cfg(feature = "gpu")]
             ahead: Ahead::new(),
+            #[cfg(feature = "gpu")]
+            beside: None,
         })
     }
 
@@ -123,7 +130,7 @@ impl Renderer {
     pub fn on_gpu(gpu: GpuRenderer) -> Renderer {
         let (scene, resident) = gpu.draws();
         let fall_back = Some((Arc::clone(scene), Arc::clone(resident)));
-        Renderer { backend: Backend::Gpu(vec![gpu]), notices: Vec::new(), fall_back, ahead: Ahead::new() }
+        Renderer { backend: Backend::Gpu(vec![gpu]), notices: Vec::new(), fall_back, ahead: Ahead::new(), beside: None }
     }
 
     /// Whether frames' figures say how many columns, runs and spans were visited, and how long each stage took. The CPU has them
@@ -196,6 +203,27 @@ impl Renderer {
             Backend::Planes(cpu) => cpu.render(camera, options, outputs),
             Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
             #[cfg(feature = "gpu")]
+            Backend::Gpu(gpus) if options.projection == Projection::Cube => {
+                // One after the other into the device, each as soon as there is room.
+                crate::cpu::renderer::check(camera, options)?;
+                let options = Options { projection: Projection::Perspective, ..*options };
+                let faces = face_cameras(camera);
+                let faces = (0..6).map(|i| draw_ahead(&mut gpus[..1], &mut self.ahead, &faces[i..], &options, outputs));
+                Ok(join_faces(camera, faces.collect::<Result<_>>()?))
+            }
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpus) if !gpu_draws(options) => {
+                let cpu = self.beside.get_or_insert_with(|| {
+                    tell(&format!(
+                        "drawing {} on the cpu: the gpu draws perspective and cube",
+                        options.projection.name()
+                    ));
+                    let (scene, resident) = gpus[0].draws();
+                    Box::new(CpuRenderer::new(scene, resident))
+                });
+                cpu.render(camera, options, outputs)
+            }
+            #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) => match draw_ahead(gpus, &mut self.ahead, cameras, options, outputs) {
                 Err(e @ (Error::Device(_) | Error::Limit(_))) => {
                     let Some((scene, resident)) = &self.fall_back else { return Err(e) };
@@ -205,6 +233,46 @@ impl Renderer {
                 }
                 frame => frame,
             },
+        }
+    }
+
+    /// Draws pictures of any sizes, one a camera, and gives them in that order. On the GPU they are sent together, on the CPU
+    /// each thread draws one whole: for many small pictures that takes much less than one after the other.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::draw`], of the first picture that has one.
+    pub fn draw_many(&mut self, cameras: &[Camera], options: &Options) -> Result<Vec<Frame>> {
+        let frames = std::sync::Mutex::new((0..cameras.len()).map(|_| None).collect::<Vec<Option<Frame>>>());
+        self.draw_each(cameras, options, Outputs::default(), &|i, frame| {
+            frames.lock().expect("no holder panics")[i] = Some(frame);
+            Ok(None)
+        })?;
+        let frames = frames.into_inner().expect("no holder panics");
+        Ok(frames.into_iter().map(|frame| frame.expect("all were drawn")).collect())
+    }
+
+    /// As [`Renderer::draw_many`], handing each picture on when it is done, in any order and from several threads at once;
+    /// `done` may give the frame back, whose memory another takes. Its first error ends the work.
+    pub fn draw_each(
+        &mut self,
+        cameras: &[Camera],
+        options: &Options,
+        outputs: Outputs,
+        done: &(dyn Fn(usize, Frame) -> Result<Option<Frame>> + Sync),
+    ) -> Result<()> {
+        match &mut self.backend {
+            Backend::Planes(cpu) => cpu.each(cameras, false, options, outputs, done),
+            Backend::Exact(cpu) => cpu.each(cameras, true, options, outputs, done),
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpus) if gpu_draws(options) => gpus[0].each(cameras, options, outputs, done),
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(_) => {
+                for (i, camera) in cameras.iter().enumerate() {
+                    let frame = self.draw_with(camera, options, outputs, &mut |_| ())?;
+                    _ = done(i, frame)?;
+                }
+                Ok(())
+            }
         }
     }
 
@@ -239,6 +307,12 @@ impl Renderer {
             Backend::Gpu(_) => "gpu",
         }
     }
+}
+
+/// Whether the GPU's own kernels draw it.
+#[cfg(feature = "gpu")]
+fn gpu_draws(options: &Options) -> bool {
+    options.projection == Projection::Perspective
 }
 
 /// Frames on their way, in the order in which they were submitted.

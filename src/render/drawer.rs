@@ -99,7 +99,11 @@ impl Drawer {
                 gpu.draw(camera, options)?;
                 Drawn::OnDevice
             }
-            Painter::Cpu(cpu) => Drawn::Here(Box::new(cpu.render(camera, options, Outputs::default())?)),
+            Painter::Cpu(cpu) => {
+                // While the eye rests, turning looks up what planes have shown.
+                cpu.keep_sphere(true);
+                Drawn::Here(Box::new(cpu.render(camera, options, Outputs::default())?))
+            }
             Painter::Exact(cpu) => Drawn::Here(Box::new(cpu.exact(camera, options, Outputs::default())?)),
         })
     }
@@ -109,7 +113,11 @@ impl Drawer {
         let options = &self.draws.options(options);
         match &mut self.painter {
             Painter::Gpu(gpu) => gpu.render(camera, options, outputs),
-            Painter::Cpu(cpu) => cpu.render(camera, options, outputs),
+            Painter::Cpu(cpu) => {
+                // A picture that is kept is drawn as `render` draws it.
+                cpu.keep_sphere(false);
+                cpu.render(camera, options, outputs)
+            }
             Painter::Exact(cpu) => cpu.exact(camera, options, outputs),
         }
     }

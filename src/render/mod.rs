@@ -6,6 +6,8 @@ pub mod annotate;
 pub mod device;
 #[cfg(feature = "gpu")]
 pub mod drawer;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod scan;
 
 #[cfg(not(target_arch = "wasm32"))]
 pub use device::{Device, Renderer};

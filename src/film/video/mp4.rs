@@ -7,9 +7,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use mp4_atom::{
-    Atom, Av01, Av1c, Avc1, Avcc, Co64, Codec as Entry, Colr, Decode, Dinf, Dref, DrefEntry, Encode, FixedPoint,
-    FourCC, Ftyp, Hdlr, Mdhd, Mdia, Minf, Moov, Mvhd, Stbl, Stco, Stsc, StscEntry, Stsd, Stss, Stsz, StszSamples, Stts,
-    SttsEntry, Tkhd, Trak, Url, Visual, Vmhd,
+    Atom, Av01, Av1c, Avc1, Avcc, Co64, Codec as Entry, Colr, Decode, Dinf, Dref, DrefEntry, Encode, Equi, FixedPoint,
+    FourCC, Ftyp, Hdlr, Mdhd, Mdia, Minf, Moov, Mvhd, Prhd, Proj, ProjKind, Spatial, St3d, Stbl, Stco, Stsc, StscEntry,
+    Stsd, Stss, Stsz, StszSamples, Stts, SttsEntry, Sv3d, Svhd, Tkhd, Trak, Url, Visual, Vmhd,
 };
 use planecast_encoder::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -25,6 +25,8 @@ pub struct Form {
     /// Of the frames as they are encoded.
     pub size: [u16; 2],
     pub rate: Rate,
+    /// Frames are equirectangular pictures of the whole sphere.
+    pub spherical: bool,
 }
 
 /// A segment's frames: where they lie, and the bytes of each.
@@ -78,15 +80,31 @@ impl Form {
         Ok(match self.codec {
             Codec::H264 => {
                 let avcc = Avcc::decode_body(&mut config).map_err(fault)?;
-                let (btrt, pasp, taic, fiel, spatial) = Default::default();
+                let (btrt, pasp, taic, fiel) = Default::default();
+                let spatial = self.spatial();
                 Entry::Avc1(Avc1 { visual, avcc, btrt, colr, pasp, taic, fiel, spatial })
             }
             Codec::Av1 => {
                 let av1c = Av1c::decode_body(&mut config).map_err(fault)?;
-                let (btrt, ccst, pasp, taic, spatial) = Default::default();
+                let (btrt, ccst, pasp, taic) = Default::default();
+                let spatial = self.spatial();
                 Entry::Av01(Av01 { visual, av1c, btrt, ccst, colr, pasp, taic, spatial })
             }
         })
+    }
+
+    /// What tells players to show the picture as a sphere: Google's Spherical Video V2, one eye.
+    fn spatial(&self) -> Option<Box<Spatial>> {
+        if !self.spherical {
+            return None;
+        }
+        let proj = Proj { prhd: Some(Prhd::default()), kind: Some(ProjKind::Equi(Equi::default())), ..Proj::default() };
+        let svhd = Some(Svhd { metadata_source: "planecast".into() });
+        Some(Box::new(Spatial {
+            st3d: Some(St3d { stereo_mode: St3d::MONO }),
+            sv3d: Some(Sv3d { svhd, proj: Some(proj), ..Sv3d::default() }),
+            ..Spatial::default()
+        }))
     }
 
     /// The index. `first` is where the first chunk begins in the file.
@@ -279,14 +297,14 @@ fn read_index(path: &Path, index: &Moov, length: u64) -> std::result::Result<(Fo
     let [trak] = &index.trak[..] else { return Err(format!("{} tracks", index.trak.len())) };
     let stbl = &trak.mdia.minf.stbl;
     let mut config = Vec::new();
-    let (codec, visual) = match &stbl.stsd.codecs[..] {
+    let (codec, visual, spatial) = match &stbl.stsd.codecs[..] {
         [Entry::Avc1(e)] => {
             e.avcc.encode_body(&mut config).map_err(|e| e.to_string())?;
-            (Codec::H264, &e.visual)
+            (Codec::H264, &e.visual, &e.spatial)
         }
         [Entry::Av01(e)] => {
             e.av1c.encode_body(&mut config).map_err(|e| e.to_string())?;
-            (Codec::Av1, &e.visual)
+            (Codec::Av1, &e.visual, &e.spatial)
         }
         _ => return Err("neither H.264 nor AV1".into()),
     };
@@ -315,7 +333,8 @@ fn read_index(path: &Path, index: &Moov, length: u64) -> std::result::Result<(Fo
         return Err("more frames than chunks".into());
     }
     let rate = Rate { ticks: trak.mdia.mdhd.timescale, frame };
-    Ok((Form { codec, config, size: [visual.width, visual.height], rate }, chunks))
+    let spherical = spatial.as_ref().is_some_and(|s| s.sv3d.is_some());
+    Ok((Form { codec, config, size: [visual.width, visual.height], rate, spherical }, chunks))
 }
 
 /// The parts of one whole film, in order; the error says what is missing or does not belong.
@@ -366,7 +385,7 @@ mod tests {
         let avcc = Avcc::new(&[0x67, 66, 0xc0, 31, 0xda], &[0x68, 0xce, 0x38, 0x80]).unwrap();
         let mut config = Vec::new();
         avcc.encode_body(&mut config).unwrap();
-        Form { codec: Codec::H264, config, size: [34, 20], rate: Rate::new(30.0) }
+        Form { codec: Codec::H264, config, size: [34, 20], rate: Rate::new(30.0), spherical: false }
     }
 
     fn chunk(sizes: &[u32], with: u8) -> Chunk {
@@ -383,6 +402,18 @@ mod tests {
     fn index(file: &[u8]) -> Moov {
         let at = file.windows(4).position(|w| w == b"moov").unwrap() - 4;
         Moov::decode(&mut &file[at..]).unwrap()
+    }
+
+    #[test]
+    fn films_of_the_sphere_say_so_and_others_do_not() {
+        let mut film = Vec::new();
+        mux(&mut film, &Form { spherical: true, ..form() }, &[chunk(&[9], 1)], None).unwrap();
+        let has = |bytes: &[u8], name: &[u8]| bytes.windows(4).any(|w| w == name);
+        for name in [b"st3d", b"sv3d", b"svhd", b"proj", b"prhd", b"equi"] {
+            assert!(has(&film, name) && !has(&file(&[chunk(&[9], 1)], None), name));
+        }
+        let [Entry::Avc1(entry)] = &index(&film).trak[0].mdia.minf.stbl.stsd.codecs[..] else { panic!("one of H.264") };
+        assert_eq!(entry.spatial, Form { spherical: true, ..form() }.spatial());
     }
 
     /// mpv-player/mpv#8858: players stop at once where a film says it lasts a tick.
