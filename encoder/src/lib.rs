@@ -32,6 +32,8 @@ pub mod features;
 pub mod format;
 pub mod forms;
 pub mod guard;
+#[cfg(not(target_arch = "wasm32"))]
+mod height_field;
 pub mod info;
 pub mod input;
 mod lists;

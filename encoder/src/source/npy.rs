@@ -9,7 +9,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::heights::Heights;
+use super::heights::{Heights, Words};
 use super::tiff_pages::half;
 use super::volume::{Data, Sample, Stored, Volume, byte_len, with_sample};
 use super::{Dtype, ReadOptions, world_dims};
@@ -36,8 +36,18 @@ pub(super) fn npy_heights(path: &Path, bytes: &[u8], in_file: bool) -> Result<Op
     }
     let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = array.stored(path)?;
     // Columns of an array that is stored by columns are gathered from all over it.
-    let data = if in_file && !z_fastest { data.in_file(path, bytes)? } else { data };
     world_dims(path, [width, 1, height], "")?;
+    let data = match in_file && !z_fastest {
+        true => {
+            let data = data.in_file(path, bytes)?;
+            if let Dtype::U16 | Dtype::I16 = dtype {
+                let words = Words { signed: dtype == Dtype::I16, big_endian };
+                return Heights::of_words(width as u32, height as u32, data, words).map(Some);
+            }
+            data
+        }
+        false => data,
+    };
     let mut out = Heights::new(width as u32, height as u32)?;
     let n = width as usize;
     with_sample!(dtype, big_endian, |read| {
