@@ -2,6 +2,8 @@
 //! what the bytes of a tile mean ([`crate::format`]).
 
 pub mod build;
+#[cfg(not(target_arch = "wasm32"))]
+pub(crate) mod height_field;
 pub mod memory;
 pub mod mips;
 #[cfg(not(target_arch = "wasm32"))]

@@ -12,6 +12,7 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard};
 
 use bytemuck::{Pod, Zeroable, bytes_of};
 use xxhash_rust::xxh3::xxh3_64;
@@ -148,18 +149,26 @@ pub struct Part {
     path: PathBuf,
     file: File,
     plan: Plan,
-    /// Where the next record goes.
-    end: u64,
+    records: Mutex<Records>,
     finished: bool,
-    n_records: u64,
     about: About,
+}
+
+struct Records {
+    n: u64,
+    /// Where the next one goes.
+    end: u64,
 }
 
 impl Part {
     /// A part of which no record is known.
     fn new(path: &Path, file: File, plan: Plan) -> Part {
-        let end = size_of::<PartHeader>() as u64;
-        Part { path: path.to_owned(), file, plan, end, finished: false, n_records: 0, about: About::default() }
+        let records = Mutex::new(Records { n: 0, end: size_of::<PartHeader>() as u64 });
+        Part { path: path.to_owned(), file, plan, records, finished: false, about: About::default() }
+    }
+
+    fn records(&self) -> MutexGuard<'_, Records> {
+        self.records.lock().expect("no thread panics with the records")
     }
 
     /// A new part in an empty file.
@@ -190,17 +199,18 @@ impl Part {
         let n_tiles: u64 = format::grids(plan.dims).iter().map(Grid::n_tiles).sum();
         let mut part = Part::new(path, file, plan);
         let mut buffer = Vec::new();
-        while part.end + size_of::<RecordHeader>() as u64 <= len {
+        let mut records = Records { n: 0, end: part.records().end };
+        while records.end + size_of::<RecordHeader>() as u64 <= len {
             let mut record = RecordHeader::zeroed();
-            read_at(&part.file, bytemuck::bytes_of_mut(&mut record), part.end).map_err(failed)?;
+            read_at(&part.file, bytemuck::bytes_of_mut(&mut record), records.end).map_err(failed)?;
             if record.checksum != xxh3_64(&bytes_of(&record)[..72]) {
                 break;
             }
             if record.tile == END {
-                part.finished = record.entry.n_solid == part.n_records;
+                part.finished = record.entry.n_solid == records.n;
                 break;
             }
-            let at = part.end + size_of::<RecordHeader>() as u64;
+            let at = records.end + size_of::<RecordHeader>() as u64;
             let body = u64::from(record.entry.len) + u64::from(record.work_len);
             if record.tile >= n_tiles && record.tile != ABOUT || at + body > len {
                 break;
@@ -217,9 +227,10 @@ impl Part {
                 ABOUT => part.about = metadata::unpack(blob).unwrap_or_default(),
                 tile => found(tile, Stored { entry: record.entry, at, work_len: record.work_len }),
             }
-            part.n_records += 1;
-            part.end = at + body;
+            records.n += 1;
+            records.end = at + body;
         }
+        part.records = Mutex::new(records);
         Ok(part)
     }
 
@@ -246,7 +257,7 @@ impl Part {
     }
 
     /// Appends a tile.
-    pub fn push(&mut self, tile: &Finished) -> Result<Stored> {
+    pub fn push(&self, tile: &Finished) -> Result<Stored> {
         let mut header = RecordHeader {
             tile: tile.tile,
             entry: tile.entry,
@@ -255,23 +266,24 @@ impl Part {
             ..RecordHeader::zeroed()
         };
         header.checksum = xxh3_64(&bytes_of(&header)[..72]);
-        let at = self.end + size_of::<RecordHeader>() as u64;
-        self.write(self.end, bytes_of(&header))?;
+        let mut records = self.records();
+        let at = records.end + size_of::<RecordHeader>() as u64;
+        self.write(records.end, bytes_of(&header))?;
         self.write(at, &tile.blob)?;
         self.write(at + tile.blob.len() as u64, &tile.work)?;
-        self.end = at + (tile.blob.len() + tile.work.len()) as u64;
-        self.n_records += 1;
+        records.end = at + (tile.blob.len() + tile.work.len()) as u64;
+        records.n += 1;
         Ok(Stored { entry: tile.entry, at, work_len: header.work_len })
     }
 
     /// Writes the end record, and all of it to the disk.
     pub fn finish(&mut self) -> Result<()> {
-        let entry = TileEntry { n_solid: self.n_records, ..TileEntry::zeroed() };
+        let Records { n, end } = *self.records();
+        let entry = TileEntry { n_solid: n, ..TileEntry::zeroed() };
         let mut header = RecordHeader { tile: END, entry, ..RecordHeader::zeroed() };
         header.checksum = xxh3_64(&bytes_of(&header)[..72]);
-        self.write(self.end, bytes_of(&header))?;
-        let end = self.end + size_of::<RecordHeader>() as u64;
-        self.file.set_len(end).map_err(|e| Error::io(&self.path, "write", e))?;
+        self.write(end, bytes_of(&header))?;
+        self.file.set_len(end + size_of::<RecordHeader>() as u64).map_err(|e| Error::io(&self.path, "write", e))?;
         self.finished = true;
         self.file.sync_all().map_err(|e| Error::io(&self.path, "write", e))
     }

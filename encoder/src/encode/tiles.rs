@@ -22,10 +22,15 @@ use crate::encode::part::{Finished, Part, Plan, Stored, WORK};
 use crate::format::file::Modes;
 use crate::format::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
 use crate::format::{self, Grid, TILE, TileEntry};
+use crate::encode::height_field::HeightField;
+use crate::format::write::heights_blob;
 use crate::model::exposure;
 use crate::model::pieces::Pieces;
 use crate::store::scratch;
-use crate::{About, BuildOptions, ColorMode, Colors, Columns, Error, Features, Input, Level, PcastFile, Result, Rgb};
+use crate::{
+    About, BuildOptions, ColorMode, Colors, Columns, Encoding, Error, Feature, Features, Input, Level, PcastFile,
+    Result, Rgb,
+};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, Default)]
@@ -265,13 +270,52 @@ struct Tiles {
     log: usize,
     /// By number in the directory: the part and the place in it.
     stored: BTreeMap<u64, (usize, Stored)>,
+    /// Columns are solid from 0 up, and nothing is kept of them but that.
+    by_heights: bool,
     cache: Cache,
+}
+
+/// A finished tile, as the level above takes it.
+enum Tile {
+    Runs(Level),
+    Heights(HeightField),
+}
+
+impl Tile {
+    fn bytes(&self) -> u64 {
+        match self {
+            Tile::Runs(level) => level_bytes(level),
+            Tile::Heights(field) => field.bytes(),
+        }
+    }
+
+    fn level(&self) -> &Level {
+        match self {
+            Tile::Runs(level) => level,
+            Tile::Heights(_) => unreachable!("a scene's tiles are all of one kind"),
+        }
+    }
+
+    fn heights(&self) -> &HeightField {
+        match self {
+            Tile::Heights(field) => field,
+            Tile::Runs(_) => unreachable!("a scene's tiles are all of one kind"),
+        }
+    }
 }
 
 impl Tiles {
     fn new(plan: Plan) -> Tiles {
         let grids = format::grids(plan.dims);
-        Tiles { plan, grids, parts: Vec::new(), log: 0, stored: BTreeMap::new(), cache: Cache::default() }
+        Tiles {
+            plan,
+            grids,
+            parts: Vec::new(),
+            log: 0,
+            stored: BTreeMap::new(),
+            by_heights: false,
+            cache: Cache::default(),
+        }
     }
 
     fn create(path: &Path, file: File, plan: Plan, about: About) -> Result<Tiles> {
@@ -332,8 +376,13 @@ impl Tiles {
         let across = u64::from(grid.tiles[0]);
         let wanted = |tx: u32, tz: u32| (from..to).contains(&(u64::from(tz) * across + u64::from(tx)));
         let whole = from == 0 && to == grid.n_tiles();
+        let modes = Modes { encoding: Encoding::Solid, color: ColorMode::None };
+        self.by_heights = world.heights().is_some()
+            && self.plan.modes == modes
+            && self.plan.features.has(Feature::Heights)
+            && self.plan.dims[1] <= 0xFFFF;
         // Bytes a column while a job is under way; the first job tells more.
-        let mut cost = FIRST_COST;
+        let mut cost = if self.by_heights { HEIGHTS_COST } else { FIRST_COST };
         let bands = world.rows_together().div_ceil(TILE).max(1);
         let mut tz = (from / across) as u32;
         let end = to.div_ceil(across) as u32;
@@ -382,6 +431,23 @@ impl Tiles {
             (low * TILE).saturating_sub(1)..n.min((high + 1).saturating_mul(TILE).saturating_add(1))
         };
         let (xs, zs) = (bound(|t| t.0, nx), bound(|t| t.1, nz));
+        if self.by_heights {
+            let heights = world.heights().expect("looked at before");
+            let width = xs.len();
+            let mut rows = vec![0; width * zs.len()];
+            let each = rows.par_chunks_mut(width).zip(zs.clone());
+            each.try_for_each(|(row, z)| heights(xs.start, z, row))?;
+            let from = |x: u32, z: u32| {
+                let row = (z - zs.start) as usize * width;
+                &rows[row + (x - xs.start) as usize..row + width]
+            };
+            self.make(0, job, None, watch, |tiles, tx, tz| {
+                let [tile_xs, tile_zs] = grid.columns(tx, tz);
+                let around = |r: Range<u32>| i64::from(r.start) - 1..i64::from(r.end) + 1;
+                tiles.of_heights(0, tx, tz, &HeightField::gather(around(tile_xs), around(tile_zs), [nx, nz], from))
+            })?;
+            return Ok(HEIGHTS_COST);
+        }
         let Input { columns, colors, .. } = world.piece(xs.clone(), zs.clone())?;
         let modes = self.plan.modes;
         let exposed = exposure::exposed(&columns);
@@ -392,42 +458,78 @@ impl Tiles {
             (_, colors) => input_colors(&colors, &columns, &exposed)?,
         };
         let starts = if colors.is_empty() { Vec::new() } else { exposed.voxel_offsets() };
-        let made: Vec<(Finished, Level)> = job
-            .par_iter()
-            .map(|&(tx, tz)| {
-                let [tile_xs, tile_zs] = grid.columns(tx, tz);
-                let local = |r: Range<u32>, at: u32| r.start - at..r.end - at;
-                let (tile_xs, tile_zs) = (local(tile_xs, xs.start), local(tile_zs, zs.start));
-                let mut own: Vec<Rgb> = Vec::new();
-                if !colors.is_empty() {
-                    for z in tile_zs.clone() {
-                        let row = columns.index(tile_xs.start, z);
-                        own.extend_from_slice(&colors[starts[row] as usize..starts[row + tile_xs.len()] as usize]);
-                    }
+        let made = self.make(0, job, None, watch, |tiles, tx, tz| {
+            let [tile_xs, tile_zs] = grid.columns(tx, tz);
+            let local = |r: Range<u32>, at: u32| r.start - at..r.end - at;
+            let (tile_xs, tile_zs) = (local(tile_xs, xs.start), local(tile_zs, zs.start));
+            let mut own: Vec<Rgb> = Vec::new();
+            if !colors.is_empty() {
+                for z in tile_zs.clone() {
+                    let row = columns.index(tile_xs.start, z);
+                    own.extend_from_slice(&colors[starts[row] as usize..starts[row + tile_xs.len()] as usize]);
                 }
-                let tile = Level {
-                    solid: columns.crop(tile_xs.clone(), tile_zs.clone()),
-                    exposed: Some(exposed.crop(tile_xs, tile_zs)),
-                    colors: own,
-                };
-                self.finished(0, tx, tz, tile)
-            })
-            .collect::<Result<_>>()?;
-        let bytes = columns.bytes()
-            + exposed.bytes()
-            + 8 * starts.len() as u64
-            + 3 * colors.len() as u64
-            + made.iter().map(|(f, l)| (f.blob.len() + f.work.len()) as u64 + level_bytes(l)).sum::<u64>();
-        drop((columns, exposed, colors, starts));
-        for ((finished, level), &(tx, tz)) in made.into_iter().zip(job) {
-            self.keep(0, tx, tz, finished, level, watch)?;
-        }
+            }
+            let tile = Level {
+                solid: columns.crop(tile_xs.clone(), tile_zs.clone()),
+                exposed: Some(exposed.crop(tile_xs, tile_zs)),
+                colors: own,
+            };
+            tiles.finished(0, tx, tz, tile)
+        })?;
+        let bytes = columns.bytes() + exposed.bytes() + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
         // Half as much again for what comes and goes on the way.
         Ok(bytes as f64 * 1.5 / (xs.len() as f64 * zs.len() as f64))
     }
 
+    /// Makes the tiles of a job, some at a time: while these are made those before are written. Returns how many bytes all took.
+    fn make(
+        &mut self,
+        level: usize,
+        job: &[(u32, u32)],
+        stop: Option<&Watch>,
+        watch: &Watch,
+        tile: impl Fn(&Tiles, u32, u32) -> Result<(Finished, Tile)> + Sync,
+    ) -> Result<u64> {
+        let mut bytes = 0;
+        let mut before: Vec<(Finished, Tile)> = Vec::new();
+        let mut some = job.chunks(2 * rayon::current_num_threads());
+        let mut kept = 0;
+        loop {
+            let next = some.next();
+            if next.is_none() && before.is_empty() {
+                return Ok(bytes);
+            }
+            if let Some(watch) = stop {
+                stopped(watch)?;
+            }
+            let log = &self.parts[self.log];
+            let (stored, made) = rayon::join(
+                || before.iter().map(|(finished, _)| log.push(finished)).collect::<Result<Vec<Stored>>>(),
+                || next.unwrap_or_default().par_iter().map(|&(tx, tz)| tile(self, tx, tz)).collect::<Result<Vec<_>>>(),
+            );
+            for ((finished, tile), stored) in std::mem::take(&mut before).into_iter().zip(stored?) {
+                bytes += (finished.blob.len() + finished.work.len()) as u64 + tile.bytes();
+                let (tx, tz) = job[kept];
+                self.keep([level as u32, tx, tz], &finished, stored, tile, watch);
+                kept += 1;
+            }
+            before = made?;
+        }
+    }
+
+    /// The blob of a tile that has one column around it.
+    fn of_heights(&self, level: usize, tx: u32, tz: u32, field: &HeightField) -> Result<(Finished, Tile)> {
+        let (field, n_exposed) = field.inner();
+        let depth = field.heights.len() / field.width;
+        let dims = [field.width as u32, self.grids[level].dims[1], depth as u32];
+        let made = heights_blob(dims, &field.heights, n_exposed, self.plan.features);
+        let (entry, blob) = made.map_err(|len| too_long(level, tx, tz, len))?;
+        let finished = Finished { tile: self.number(level, tx, tz), entry, blob, work: Vec::new() };
+        Ok((finished, Tile::Heights(field)))
+    }
+
     /// The blobs of a tile that has its exposed voxels, with voxel colours where the scene has any.
-    fn finished(&self, level: usize, tx: u32, tz: u32, mut tile: Level) -> Result<(Finished, Level)> {
+    fn finished(&self, level: usize, tx: u32, tz: u32, mut tile: Level) -> Result<(Finished, Tile)> {
         let Plan { modes, features, .. } = self.plan;
         let Modes { encoding, color } = modes;
         let too_long = |len| too_long(level, tx, tz, len);
@@ -446,13 +548,12 @@ impl Tiles {
         if color == ColorMode::None {
             tile.exposed = None;
         }
-        Ok((Finished { tile: self.number(level, tx, tz), entry, blob, work }, tile))
+        Ok((Finished { tile: self.number(level, tx, tz), entry, blob, work }, Tile::Runs(tile)))
     }
 
-    fn keep(&mut self, level: usize, tx: u32, tz: u32, finished: Finished, tile: Level, watch: &Watch) -> Result<()> {
-        let log = self.log;
-        let stored = self.parts[log].push(&finished)?;
-        self.stored.insert(finished.tile, (log, stored));
+    fn keep(&mut self, [level, tx, tz]: [u32; 3], finished: &Finished, stored: Stored, tile: Tile, watch: &Watch) {
+        let level = level as usize;
+        self.stored.insert(finished.tile, (self.log, stored));
         let [xs, zs] = self.grids[level].columns(tx, tz);
         watch.columns.fetch_add((xs.len() * zs.len()) as u64, Ordering::Relaxed);
         if level == 0 {
@@ -461,7 +562,6 @@ impl Tiles {
         if level + 1 < self.grids.len() {
             self.cache.insert(finished.tile, Arc::new(tile));
         }
-        Ok(())
     }
 
     /// Makes what can be made of the levels above once the first `bands` rows of tiles of level 0 are there.
@@ -475,14 +575,7 @@ impl Tiles {
             while next < grid.tiles[1] && ready(next) {
                 let missing: Vec<(u32, u32)> =
                     (0..grid.tiles[0]).map(|tx| (tx, next)).filter(|&(tx, tz)| !self.has(level, tx, tz)).collect();
-                for job in missing.chunks(2 * rayon::current_num_threads()) {
-                    stopped(watch)?;
-                    let made: Vec<(Finished, Level)> =
-                        job.par_iter().map(|&(tx, tz)| self.coarser(level, tx, tz)).collect::<Result<_>>()?;
-                    for ((finished, tile), &(tx, tz)) in made.into_iter().zip(job) {
-                        self.keep(level, tx, tz, finished, tile, watch)?;
-                    }
-                }
+                self.make(level, &missing, Some(watch), watch, |tiles, tx, tz| tiles.coarser(level, tx, tz))?;
                 if !missing.is_empty() {
                     // The row after this one starts with the last row of tiles that this one took.
                     let rows = 0..(2 * next + 1).min(below.tiles[1]);
@@ -497,7 +590,7 @@ impl Tiles {
     }
 
     /// A tile of a level above 0, from the tiles below it and around those.
-    fn coarser(&self, level: usize, tx: u32, tz: u32) -> Result<(Finished, Level)> {
+    fn coarser(&self, level: usize, tx: u32, tz: u32) -> Result<(Finished, Tile)> {
         let (below, grid) = (self.grids[level - 1], self.grids[level]);
         let [xs, zs] = grid.columns(tx, tz);
         // One column more on each side, in columns of the level below.
@@ -507,15 +600,24 @@ impl Tiles {
         };
         let (around_xs, below_xs) = around(&xs, grid.dims[0], below.dims[0]);
         let (around_zs, below_zs) = around(&zs, grid.dims[2], below.dims[2]);
-        let mut tiles: HashMap<(u32, u32), Arc<Level>> = HashMap::new();
+        let mut tiles: HashMap<(u32, u32), Arc<Tile>> = HashMap::new();
         for z in below_zs.start / TILE..=(below_zs.end - 1) / TILE {
             for x in below_xs.start / TILE..=(below_xs.end - 1) / TILE {
                 tiles.insert((x, z), self.tile(level - 1, x, z)?);
             }
         }
+        if self.by_heights {
+            let twice = |r: Range<u32>| 2 * (i64::from(r.start) - 1)..2 * (i64::from(r.end) + 1);
+            let fine = HeightField::gather(twice(xs), twice(zs), [below.dims[0], below.dims[2]], |x, z| {
+                let field = tiles[&(x / TILE, z / TILE)].heights();
+                let row = (z % TILE) as usize * field.width;
+                &field.heights[row + (x % TILE) as usize..row + field.width]
+            });
+            return self.of_heights(level, tx, tz, &fine.next(self.plan.mip_rule));
+        }
         let gather = |xs: Range<u32>, zs: Range<u32>, of: fn(&Level) -> &Columns| {
             Columns::gather(below.dims[1], xs, zs, |x, z| {
-                let columns = of(&tiles[&(x / TILE, z / TILE)]);
+                let columns = of(tiles[&(x / TILE, z / TILE)].level());
                 let ix = (z % TILE) as usize * columns.nx() as usize + (x % TILE) as usize;
                 (columns, ix, columns.nx() - x % TILE)
             })
@@ -533,13 +635,15 @@ impl Tiles {
                 gather(xs.clone(), zs.clone(), |l| l.exposed.as_ref().expect("coloured tiles have exposed runs"));
             let starts: HashMap<(u32, u32), Vec<u64>> = tiles
                 .iter()
-                .map(|(&at, l)| (at, l.exposed.as_ref().expect("coloured tiles have exposed runs").voxel_offsets()))
+                .map(|(&at, l)| {
+                    (at, l.level().exposed.as_ref().expect("coloured tiles have exposed runs").voxel_offsets())
+                })
                 .collect();
             let mut fine_colors: Vec<Rgb> = Vec::new();
             for z in zs {
                 for x in xs.clone().step_by(TILE as usize) {
                     let at = (x / TILE, z / TILE);
-                    let (tile, starts) = (&tiles[&at], &starts[&at]);
+                    let (tile, starts) = (tiles[&at].level(), &starts[&at]);
                     let row = (z % TILE) as usize * tile.solid.nx() as usize;
                     let end = row + tile.solid.nx() as usize;
                     fine_colors.extend_from_slice(&tile.colors[starts[row] as usize..starts[end] as usize]);
@@ -551,13 +655,18 @@ impl Tiles {
     }
 
     /// A finished tile, from memory or from where it is stored.
-    fn tile(&self, level: usize, tx: u32, tz: u32) -> Result<Arc<Level>> {
+    fn tile(&self, level: usize, tx: u32, tz: u32) -> Result<Arc<Tile>> {
         let number = self.number(level, tx, tz);
         if let Some(tile) = self.cache.get(number) {
             return Ok(tile);
         }
         let (part, stored) = &self.stored[&number];
-        let tile = Arc::new(self.parts[*part].work_level(stored, &self.grids[level], level, tx, tz)?);
+        let tile = self.parts[*part].work_level(stored, &self.grids[level], level, tx, tz)?;
+        let tile = match self.by_heights {
+            true => Tile::Heights(HeightField::of(&tile.solid)),
+            false => Tile::Runs(tile),
+        };
+        let tile = Arc::new(tile);
         self.cache.insert(number, Arc::clone(&tile));
         Ok(tile)
     }
@@ -567,24 +676,33 @@ impl Tiles {
         write_atomic(output, |out| self.assemble_to(out, output, compress))
     }
 
-    fn assemble_to(&self, out: &mut (impl Write + Seek), output: &Path, compress: Option<i32>) -> Result<()> {
+    fn assemble_to(&self, out: &mut (impl Write + Seek + Send), output: &Path, compress: Option<i32>) -> Result<()> {
         let Plan { dims, modes, mip_rule, .. } = self.plan;
         // Parts of one scene say the same.
         let about = self.parts[0].about();
         let mut scene = SceneWriter::new(out, output, dims, modes, mip_rule, about)?;
         let all: Vec<&(usize, Stored)> = self.stored.values().collect();
-        for some in all.chunks(64) {
-            let blobs: Vec<(TileEntry, Vec<u8>)> = some
-                .par_iter()
-                .map(|(part, stored)| {
-                    let (entry, blob) = (stored.entry, self.parts[*part].blob(stored)?);
-                    Ok(match compress {
-                        Some(level) => compressed(entry, blob, level),
-                        None => (entry, blob),
-                    })
+        let read = |some: &[&(usize, Stored)]| {
+            let blob = |(part, stored): &(usize, Stored)| {
+                let (entry, blob) = (stored.entry, self.parts[*part].blob(stored)?);
+                Ok(match compress {
+                    Some(level) => compressed(entry, blob, level),
+                    None => (entry, blob),
                 })
-                .collect::<Result<_>>()?;
-            scene.push(blobs)?;
+            };
+            some.par_iter().map(|&tile| blob(tile)).collect::<Result<Vec<(TileEntry, Vec<u8>)>>>()
+        };
+        // While some are written the next are read.
+        let mut chunks = all.chunks(32);
+        let mut before = Vec::new();
+        loop {
+            let next = chunks.next();
+            let (pushed, blobs) = rayon::join(|| scene.push(before), || read(next.unwrap_or_default()));
+            pushed?;
+            before = blobs?;
+            if next.is_none() {
+                break;
+            }
         }
         scene.finish()
     }
@@ -592,6 +710,9 @@ impl Tiles {
 
 /// Bytes a column that the first job is thought to take: a few dozen runs with their colours.
 const FIRST_COST: f64 = 256.0;
+
+/// The same of columns that are a number of two bytes: as read, around its tile, in it, in the blob; and half as much again.
+const HEIGHTS_COST: f64 = 12.0;
 
 fn stopped(watch: &Watch) -> Result<()> {
     if watch.stop.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
@@ -610,13 +731,13 @@ struct Cache {
 
 #[derive(Default)]
 struct CachedTiles {
-    by_number: HashMap<u64, (Arc<Level>, u64)>,
+    by_number: HashMap<u64, (Arc<Tile>, u64)>,
     bytes: u64,
     clock: u64,
 }
 
 impl Cache {
-    fn get(&self, number: u64) -> Option<Arc<Level>> {
+    fn get(&self, number: u64) -> Option<Arc<Tile>> {
         let mut tiles = self.tiles.lock().expect("no thread panics with the cache");
         tiles.clock += 1;
         let clock = tiles.clock;
@@ -625,13 +746,13 @@ impl Cache {
         Some(Arc::clone(tile))
     }
 
-    fn insert(&self, number: u64, tile: Arc<Level>) {
+    fn insert(&self, number: u64, tile: Arc<Tile>) {
         let mut tiles = self.tiles.lock().expect("no thread panics with the cache");
         tiles.clock += 1;
-        tiles.bytes += level_bytes(&tile);
+        tiles.bytes += tile.bytes();
         let clock = tiles.clock;
         if let Some((old, _)) = tiles.by_number.insert(number, (tile, clock)) {
-            tiles.bytes -= level_bytes(&old);
+            tiles.bytes -= old.bytes();
         }
         if tiles.bytes <= self.limit {
             return;
@@ -644,7 +765,7 @@ impl Cache {
                 break;
             }
             let (old, _) = tiles.by_number.remove(&number).expect("listed above");
-            tiles.bytes -= level_bytes(&old);
+            tiles.bytes -= old.bytes();
         }
     }
 
@@ -654,7 +775,7 @@ impl Cache {
         let mut freed = 0;
         tiles.by_number.retain(|number, (tile, _)| {
             let keep = !numbers.contains(number);
-            freed += if keep { 0 } else { level_bytes(tile) };
+            freed += if keep { 0 } else { tile.bytes() };
             keep
         });
         tiles.bytes -= freed;
@@ -666,9 +787,9 @@ mod tests {
     use std::sync::LazyLock;
 
     use super::*;
-    use crate::format::write::write_scene;
-    use crate::model::pieces::InMemory;
-    use crate::{Feature, MipRule, PcastFile, build, testing};
+    use crate::format::write::{write_scene, write_scene_with};
+    use crate::model::pieces::{InMemory, RowColors, Rows};
+    use crate::{ColumnsBuilder, Feature, MipRule, PcastFile, Run, build, testing};
 
     /// Three tiles on both axes, the last ones narrow; runs of all kinds.
     fn world() -> Columns {
@@ -682,7 +803,7 @@ mod tests {
 
     fn modes() -> impl Iterator<Item = BuildOptions> {
         let colors = [ColorMode::None, ColorMode::Run, ColorMode::Voxel];
-        let encodings = [crate::Encoding::Solid, crate::Encoding::Surface];
+        let encodings = [Encoding::Solid, Encoding::Surface];
         encodings.into_iter().flat_map(move |encoding| {
             colors.map(|color| {
                 let mip_rule = if color == ColorMode::Run { MipRule::Majority } else { MipRule::Any };
@@ -719,6 +840,70 @@ mod tests {
             }
         }
         assert_eq!(names(dir.path()), ["a.pcast", "b.pcast"], "nothing else is left behind");
+    }
+
+    /// Columns solid from 0 up: a plain, a plain of nothing, steps of one and of two bytes.
+    fn hills(x: u32, z: u32) -> u16 {
+        match (x / 256, z / 256) {
+            (0, 0) => 7,
+            (1, 0) => 0,
+            (2, _) => (x * z % 700) as u16,
+            _ => 300 + (x * 7 + z * z / 5) as u16 % 90,
+        }
+    }
+
+    #[test]
+    fn encode_of_heights_gives_the_bytes_of_runs() {
+        let dir = tempfile::tempdir().unwrap();
+        let (expected, found) = (dir.path().join("a.pcast"), dir.path().join("b.pcast"));
+        let dims = [520, 700, 515];
+        let row = |xs: Range<u32>, z: u32, out: &mut ColumnsBuilder| {
+            for h in xs.map(|x| hills(x, z)) {
+                if h > 0 {
+                    out.push_run(Run::new(0, h - 1));
+                }
+                out.end_column();
+            }
+            Ok(())
+        };
+        let columns = Columns::try_from_rows(dims, |z, out| row(0..dims[0], z, out)).unwrap();
+        let heights = |x: u32, z: u32, out: &mut [u16]| {
+            out.iter_mut().zip(x..).for_each(|(h, x)| *h = hills(x, z));
+            Ok(())
+        };
+        let world = Rows {
+            dims,
+            row: Box::new(row),
+            heights: Some(Box::new(heights)),
+            color: RowColors::None,
+            notes: Vec::new(),
+            about: About::default(),
+            input_bytes: 0,
+        };
+        for (encoding, mip_rule, features) in [
+            (Encoding::Solid, MipRule::Any, Features::ALL),
+            (Encoding::Solid, MipRule::Majority, Features::ALL),
+            (Encoding::Surface, MipRule::Any, Features::ALL),
+            (Encoding::Solid, MipRule::Any, Features::NONE),
+        ] {
+            let build_as = BuildOptions { encoding, mip_rule, ..Default::default() };
+            let input = Input { columns: columns.clone(), colors: Colors::None, notes: Vec::new() };
+            let scene = build(input, &build_as).unwrap();
+            write_atomic(&expected, |out| write_scene_with(&scene, features, out, &expected)).unwrap();
+            let expected = std::fs::read(&expected).unwrap();
+            for memory in [1 << 30, 1] {
+                let opts = EncodeOptions { features, ..options(build_as, memory) };
+                encode(&world, &opts, &found, &Watch::default()).unwrap();
+                assert!(std::fs::read(&found).unwrap() == expected, "{build_as:?} {features} {memory} bytes");
+                let parts = [0..4, 4..9].map(|tiles| {
+                    let part = dir.path().join(format!("{}.part", tiles.start));
+                    encode_part(&world, &opts, tiles, &part, &Watch::default()).unwrap();
+                    part
+                });
+                merge(&parts, Some(memory), None, &found, &Watch::default()).unwrap();
+                assert!(std::fs::read(&found).unwrap() == expected, "{build_as:?} {features} parts");
+            }
+        }
     }
 
     #[test]

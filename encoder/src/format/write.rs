@@ -318,7 +318,7 @@ pub(crate) fn tile_blob(tile: &Level, modes: Modes, features: Features) -> Resul
         entry.y_max = entry.y_max.max(run.last());
     }
 
-    let mut blob = Blob::new(solid, features);
+    let mut blob = Blob::new(solid.dims(), features);
     let shown = modes.shows().then_some(exposed);
     match features.has(Feature::Heights).then(|| HeightBytes::of(solid, shown)).flatten() {
         Some(heights) => {
@@ -331,11 +331,37 @@ pub(crate) fn tile_blob(tile: &Level, modes: Modes, features: Features) -> Resul
         None => blob.lists(tile, modes, entry.y_min..=entry.y_max),
     }
     blob.colors(tile, modes);
-    let (blob, specialized) = blob.finish()?;
-    entry.flags = if specialized { format::SPECIALIZED } else { 0 };
-    entry.len = blob.len() as u32;
-    entry.checksum = xxh3_64(&blob);
-    Ok((entry, blob))
+    blob.entry(entry)
+}
+
+/// What [`tile_blob`] gives for a tile without colours whose columns are solid from 0 up, in the order of columns, where
+/// features have [`Feature::Heights`].
+pub(crate) fn heights_blob(
+    dims: [u32; 3],
+    heights: &[u16],
+    n_exposed: u64,
+    features: Features,
+) -> Result<(TileEntry, Vec<u8>), usize> {
+    let ends = heights.iter().fold((u16::MAX, 0), |(low, high): (u16, u16), &h| (low.min(h), high.max(h)));
+    let (base, top) = ends;
+    if top == 0 {
+        return Ok((TileEntry { flags: format::EMPTY, ..TileEntry::zeroed() }, Vec::new()));
+    }
+    let mut blob = Blob::new(dims, features);
+    let n_bytes = usize::from(top > base) + usize::from(top - base > 0xFF);
+    blob.forms.lists = Lists::Heights { bytes: n_bytes, base: base.into() };
+    match n_bytes {
+        0 => blob.section(Section::Geometry, &[]),
+        1 => blob.section(Section::Geometry, &heights.iter().map(|h| (h - base) as u8).collect::<Vec<_>>()),
+        _ => {
+            let above: Vec<u16> = heights.iter().map(|h| (h - base).to_le()).collect();
+            blob.section(Section::Geometry, bytemuck::cast_slice(&above));
+        }
+    }
+    let n_solid = heights.iter().map(|&h| u64::from(h)).sum();
+    let n_runs = heights.iter().map(|&h| u32::from(h > 0)).sum();
+    let entry = TileEntry { n_solid, n_exposed, n_runs, y_max: top - 1, ..TileEntry::zeroed() };
+    blob.entry(entry)
 }
 
 /// A blob under construction. Offsets may pass 32 bits until [`Blob::finish`] looks.
@@ -350,8 +376,7 @@ struct Blob {
 }
 
 impl Blob {
-    fn new(columns: &Columns, features: Features) -> Blob {
-        let [width, ny, depth] = columns.dims();
+    fn new([width, ny, depth]: [u32; 3], features: Features) -> Blob {
         Blob {
             header: BlobHeader { width: width as u16, depth: depth as u16, ..BlobHeader::zeroed() },
             ny,
@@ -531,6 +556,13 @@ impl Blob {
             self.table(Section::ColorTable, &starts, total);
         }
         self.section(Section::Colors, kept.as_flattened());
+    }
+
+    /// The bytes, with what the directory says of them beside `entry`.
+    fn entry(self, entry: TileEntry) -> Result<(TileEntry, Vec<u8>), usize> {
+        let (blob, specialized) = self.finish()?;
+        let flags = if specialized { format::SPECIALIZED } else { 0 };
+        Ok((TileEntry { flags, len: blob.len() as u32, checksum: xxh3_64(&blob), ..entry }, blob))
     }
 
     /// The bytes, and whether any form is another than in the general layout. An error is their number, beyond 32 bits.

@@ -26,6 +26,11 @@ pub trait Pieces: Send + Sync {
     /// The columns `xs × zs` as a world of their own, with colours where there are any.
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input>;
 
+    /// How high columns are, where each is solid from 0 up, or empty: then nobody need make runs of them.
+    fn heights(&self) -> Option<&HeightsFn> {
+        None
+    }
+
     /// Bytes of the whole input, as far as they are read; 0 for functions.
     fn input_bytes(&self) -> u64 {
         0
@@ -120,6 +125,9 @@ impl Pieces for InMemory {
 /// Makes columns `xs` of row `z`, one after the other, in the builder it is given.
 pub type RowFn = dyn Fn(Range<u32>, u32, &mut ColumnsBuilder) -> Result<()> + Send + Sync;
 
+/// Tells how many voxels are solid of each of the columns from `x` on of row `z`.
+pub type HeightsFn = dyn Fn(u32, u32, &mut [u16]) -> Result<()> + Send + Sync;
+
 /// The colour of a voxel of the world.
 pub type ColorFn = dyn Fn(u32, u32, u32) -> Rgb + Send + Sync;
 
@@ -137,6 +145,8 @@ pub enum RowColors {
 pub struct Rows {
     pub dims: [u32; 3],
     pub row: Box<RowFn>,
+    /// The same, where columns are that simple.
+    pub heights: Option<Box<HeightsFn>>,
     pub color: RowColors,
     pub notes: Vec<String>,
     pub about: About,
@@ -179,6 +189,10 @@ impl Pieces for Rows {
         Ok(Input { columns, colors, notes: Vec::new() })
     }
 
+    fn heights(&self) -> Option<&HeightsFn> {
+        self.heights.as_deref()
+    }
+
     fn input_bytes(&self) -> u64 {
         self.input_bytes
     }
@@ -209,6 +223,10 @@ impl Pieces for Known {
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
         self.world.piece(xs, zs)
+    }
+
+    fn heights(&self) -> Option<&HeightsFn> {
+        self.world.heights()
     }
 
     fn input_bytes(&self) -> u64 {
@@ -274,6 +292,10 @@ impl Pieces for Grey {
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
         Ok(Input { colors: Colors::Function(Box::new(|_, _, _| UNCOLORED)), ..self.0.piece(xs, zs)? })
+    }
+
+    fn heights(&self) -> Option<&HeightsFn> {
+        self.0.heights()
     }
 
     fn input_bytes(&self) -> u64 {

@@ -30,7 +30,7 @@ use super::relief::{self, Colors, Exaggeration, Means, Ramp};
 use super::{HeightCode, ReadOptions, guarded, world_dims};
 use crate::encode::build::UNCOLORED;
 use crate::model::about::Kind;
-use crate::model::pieces::{ColumnColorsFn, RowColors, Rows};
+use crate::model::pieces::{ColumnColorsFn, HeightsFn, RowColors, Rows};
 use crate::{About, ColumnsBuilder, Error, Result, Rgb, Run};
 
 /// No compression of these formats makes more than about a thousand bytes of one: an image that claims more is not
@@ -264,25 +264,80 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         }
         (None, None) => RowColors::None,
     };
+    let solid = Arc::new(Solid::new(heights, base, scale, dims[1]));
+    let rows = Arc::clone(&solid);
     let row = move |xs: Range<u32>, z: u32, columns: &mut ColumnsBuilder| {
-        let mut values = vec![0.0; xs.len()];
-        heights.row(xs.start, z, &mut values)?;
-        for value in values {
-            if value.is_finite() {
-                columns.push_run(Run::new(0, ((f64::from(value) - base) * scale).round() as u16));
+        let mut found = vec![0u32; xs.len()];
+        rows.row(xs.start, z, &mut found)?;
+        for n in found {
+            if n > 0 {
+                columns.push_run(Run::new(0, (n - 1) as u16));
             }
             columns.end_column();
         }
         Ok(())
     };
-    Ok(Rows { dims, row: Box::new(row), color, notes, about, input_bytes })
+    let found: Option<Box<HeightsFn>> = match dims[1] {
+        ..=0xFFFF => Some(Box::new(move |x: u32, z, out: &mut [u16]| solid.row(x, z, out))),
+        _ => None,
+    };
+    Ok(Rows { dims, row: Box::new(row), heights: found, color, notes, about, input_bytes })
+}
+
+/// How many voxels of each column are solid, from 0 up.
+struct Solid {
+    heights: Arc<Heights>,
+    base: f64,
+    scale: f64,
+    /// Of the highest column.
+    most: u32,
+    /// Of each 16-bit number that a height is stored as.
+    of_words: Vec<u32>,
+}
+
+impl Solid {
+    fn new(heights: Arc<Heights>, base: f64, scale: f64, most: u32) -> Solid {
+        let mut solid = Solid { heights, base, scale, most, of_words: Vec::new() };
+        if let Some(words) = solid.heights.words() {
+            solid.of_words = (0..=u16::MAX).map(|bits| solid.of(words.value(bits))).collect();
+        }
+        solid
+    }
+
+    /// Of a finite height; `(value - base) * scale` is not negative.
+    #[inline]
+    fn of(&self, value: f32) -> u32 {
+        // None is higher than it was when all were looked at, unless the file changed since.
+        let top = ((f64::from(value) - self.base) * self.scale).min(f64::from(self.most));
+        // `round`, which is a call to a library: halves go up, and what is left after the whole part is exact.
+        let whole = top as u32;
+        (whole + u32::from(top - f64::from(whole) >= 0.5) + 1).min(self.most)
+    }
+
+    /// Of the columns from `x` on of row `z`.
+    fn row<T: Copy + TryFrom<u32>>(&self, x: u32, z: u32, out: &mut [T]) -> Result<()> {
+        let fit = |n: u32| T::try_from(n).unwrap_or_else(|_| unreachable!("of a type that holds the highest"));
+        if self.of_words.is_empty() {
+            let mut values = vec![0.0; out.len()];
+            self.heights.row(x, z, &mut values)?;
+            let of = |v: f32| fit(if v.is_finite() { self.of(v) } else { 0 });
+            out.iter_mut().zip(values).for_each(|(n, v)| *n = of(v));
+        } else {
+            let mut bits = vec![0; out.len()];
+            self.heights.words_of(x, z, &mut bits)?;
+            out.iter_mut().zip(bits).for_each(|(n, bits)| *n = fit(self.of_words[usize::from(bits)]));
+        }
+        Ok(())
+    }
 }
 
 /// How far the heights are above the columns that stand for them: see [`About::fractions`]. Nothing where none is, or where a
 /// table of them would be too large for what it gives.
 fn fractions(heights: &Heights, base: f64, scale: f64) -> Result<Arc<[u8]>> {
     let Heights { width, height, .. } = *heights;
-    if u64::from(width) * u64::from(height) > MAX_FRACTIONS {
+    // Whole numbers of voxels stand for themselves.
+    let whole = heights.words().is_some() && base.fract() == 0.0 && scale.fract() == 0.0;
+    if whole || u64::from(width) * u64::from(height) > MAX_FRACTIONS {
         return Ok(Arc::default());
     }
     let mut out = Vec::with_capacity(width as usize * height as usize);

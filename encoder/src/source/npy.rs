@@ -9,7 +9,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::heights::Heights;
+use super::heights::{Heights, Words};
 use super::tiff::half;
 use super::volume::{Data, Sample, Stored, Volume, byte_len, with_sample};
 use super::{Dtype, ReadOptions, heightmap, world_dims};
@@ -200,11 +200,18 @@ impl<'a> Array<'a> {
     fn heights(self, path: &Path, file: Option<&[u8]>) -> Result<Heights> {
         let Stored { dims: [width, height, _], dtype, big_endian, z_fastest, data, .. } = self.stored(path)?;
         // Columns of an array that is stored by columns are gathered from all over it.
+        world_dims(path, [width, 1, height], "")?;
         let data = match file.filter(|_| !z_fastest) {
-            Some(file) => data.in_file(path, file)?,
+            Some(file) => {
+                let data = data.in_file(path, file)?;
+                if let Dtype::U16 | Dtype::I16 = dtype {
+                    let words = Words { signed: dtype == Dtype::I16, big_endian };
+                    return Heights::of_words(width as u32, height as u32, data, words);
+                }
+                data
+            }
             None => data,
         };
-        world_dims(path, [width, 1, height], "")?;
         let mut out = Heights::new(width as u32, height as u32)?;
         let n = width as usize;
         with_sample!(dtype, big_endian, |read| {

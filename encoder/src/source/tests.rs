@@ -274,6 +274,42 @@ fn npy_reads_either_order_and_byte_order() {
 }
 
 #[test]
+fn npy_heights_are_the_same_from_a_file_and_from_memory() {
+    let number = |i: usize| (i * i * 37 % 4001) as i32 - 300;
+    let i16s = |n: i32| n as i16;
+    let little: Vec<u8> = (0..35).flat_map(|i| i16s(number(i)).to_le_bytes()).collect();
+    let big: Vec<u8> = (0..35).flat_map(|i| i16s(number(i)).to_be_bytes()).collect();
+    let unsigned: Vec<u8> = (0..35).flat_map(|i| (number(i) + 60_000).to_le_bytes().into_iter().take(2)).collect();
+    let floats: Vec<u8> = (0..35).flat_map(|i| (number(i) as f32 / 7.0).to_le_bytes()).collect();
+    for (descr, data) in [("<i2", little), (">i2", big), ("<u2", unsigned), ("<f4", floats)] {
+        let bytes = npy_file(descr, "False", "5, 7", &data);
+        let file = file("a.npy", &bytes);
+        for flags in ["", "--height-scale 1", "--height-scale 0.25", "--nodata -300", "--size 3"] {
+            let whole = read("a.npy", &bytes, flags).columns;
+            let world = open_pieces(&file.1, &opts(flags)).unwrap();
+            assert_eq!(world.dims(), whole.dims(), "{descr} {flags}");
+            let piece = world.piece(1..whole.nx(), 1..whole.nz()).unwrap().columns;
+            let mut heights = vec![0; whole.nx() as usize - 1];
+            for z in 1..whole.nz() {
+                world.heights().unwrap()(1, z, &mut heights).unwrap();
+                for (x, &height) in (1..).zip(&heights) {
+                    let column = whole.column(x, z);
+                    assert_eq!(piece.column(x - 1, z - 1), column, "{descr} {flags} {x} {z}");
+                    assert_eq!(column.first().map_or(0, |run| run.end()), u32::from(height), "{descr} {flags} {x} {z}");
+                }
+            }
+        }
+    }
+    // Lifted by 3 and halved: 0, 1.5, 2, 5, rounded away from zero.
+    let data: Vec<u8> = [-3i16, 0, 1, 7].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let file = file("a.npy", &npy_file("<i2", "False", "1, 4", &data));
+    let world = open_pieces(&file.1, &opts("--height-scale 0.5")).unwrap();
+    let mut heights = [9; 4];
+    world.heights().unwrap()(0, 0, &mut heights).unwrap();
+    assert_eq!(heights, [1, 3, 3, 6]);
+}
+
+#[test]
 fn npy_refuses_what_is_no_volume() {
     let good = npy_file("|u1", "False", "2, 3, 4", &[1; 24]);
     refuses_every_prefix("a.npy", &good, "");

@@ -121,6 +121,20 @@ impl Data<'_> {
         }
     }
 
+    /// The bytes from `at` on, to `out`.
+    pub fn read_into(&self, at: u64, out: &mut [u8]) -> Result<()> {
+        match self {
+            Data::File { path, file, at: start, .. } => {
+                read_at(file, out, start + at).map_err(|e| Error::io(path, "read", e))
+            }
+            _ => {
+                let len = out.len();
+                out.copy_from_slice(self.read(at, len, &mut Vec::new())?);
+                Ok(())
+            }
+        }
+    }
+
     /// The same values, still in the file at `path` where they are a part of its bytes `whole`.
     pub fn in_file(self, path: &Path, whole: &[u8]) -> Result<Data<'static>> {
         match self {

@@ -33,6 +33,7 @@ pub fn make(size: u32) -> Result<Rows> {
     Ok(Rows {
         dims: [size; 3],
         row: Box::new(row),
+        heights: None,
         color: RowColors::Voxel(Arc::new(color)),
         notes: Vec::new(),
         about: About::default(),

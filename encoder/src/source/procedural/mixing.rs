@@ -72,6 +72,7 @@ pub fn make(size: u32, seed: u64) -> Rows {
     Rows {
         dims: [size; 3],
         row: Box::new(row),
+        heights: None,
         color: RowColors::Voxel(Arc::new(color)),
         notes: Vec::new(),
         about: About::default(),
