@@ -52,8 +52,8 @@ use crate::render::device::{Device, Renderer};
 use crate::render::scan;
 use crate::world::is_surface;
 use crate::{
-    Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Projection, Remap, Repeat, Resident, Result,
-    Shading, output, view,
+    Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Projection, Remap, Repeat, Resident,
+    Result, Shading, output, view,
 };
 
 /// Voxel terrains and volumes as run-length-encoded columns, drawn by forward projection in vertical planes
@@ -769,11 +769,22 @@ impl DrawArgs {
         Camera { fov, ..pose.camera(size) }
     }
 
+    /// A good view looks at all from outside and down; a picture of all directions is taken within and upright.
+    fn looking_round(&self, pose: Pose, eye: Option<DVec3>, pitch: Option<f64>, aimed: bool, scene: &Scene) -> Pose {
+        if !self.looks_round() || aimed {
+            return pose;
+        }
+        let eye = eye.unwrap_or_else(|| tour::within(scene));
+        Pose { eye, pitch: pitch.unwrap_or(0.0), ..pose }
+    }
+
     /// Scale and north hold for one direction of view.
     fn check_annotate(&self, annotate: bool) -> Result<()> {
         if annotate && self.projection != Projection::Perspective {
             let name = self.projection;
-            return Err(Error::Argument(format!("--annotate: is for perspective, not for --projection {name}; leave it out")));
+            return Err(Error::Argument(format!(
+                "--annotate: is for perspective, not for --projection {name}; leave it out"
+            )));
         }
         Ok(())
     }
@@ -818,18 +829,21 @@ impl DrawArgs {
         options.smooth |= self.smooth.is_none() && !measured && surface.stands;
         *options = options.drawn();
         // A surface is drawn from heights alone.
-        let features =
-            if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
+        let features = if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
         let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
         if options.smooth && !resident.heights {
             options.smooth = false;
             if !surface.stands {
-                tell("--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn");
+                tell(
+                    "--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn",
+                );
             }
         }
         if options.normals == Normals::Derived && scene.encoding != planecast_encoder::Encoding::Solid {
             options.normals = Normals::Screen;
-            tell("derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn");
+            tell(
+                "derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn",
+            );
         }
         (Arc::new(scene), Arc::new(resident))
     }
@@ -924,12 +938,8 @@ impl RenderArgs {
         let mut options = self.draw.options();
         let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
-        let mut pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
-        if self.draw.looks_round() && !self.aim.is_given() {
-            // A good view looks at all from outside and down; a picture of all directions is taken within and upright.
-            pose.pitch = self.pitch.unwrap_or(0.0);
-            pose.eye = self.eye.unwrap_or_else(|| tour::within(&scene));
-        }
+        let pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
+        let pose = self.draw.looking_round(pose, self.eye, self.pitch, self.aim.is_given(), &scene);
         let camera = self.draw.camera(pose, size);
         // Who asks for depths or voxels measures what is there.
         let measured = self.depth.is_some() || self.voxel.is_some();
@@ -1026,8 +1036,7 @@ impl RenderArgs {
         for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
             std::fs::create_dir_all(dir).map_err(|e| FileError::io(dir, "make", e))?;
         }
-        let (scene, resident) =
-            self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options);
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_depth(depth.is_some());
         renderer.set_count(stats_file.is_some());

@@ -74,7 +74,10 @@ pub fn picture(words: &[String], scene: &Scene) -> Result<Picture> {
         unreachable!("the command is render");
     };
     let RenderArgs { eye, yaw, pitch, roll, size, draw, aim, .. } = args;
-    let camera = aim.pose(Typed { eye, yaw, pitch, roll }, scene, draw.view(size))?.camera(size);
+    let size = draw.size(size, [1280, 720]);
+    draw.check_projection(size)?;
+    let pose = aim.pose(Typed { eye, yaw, pitch, roll }, scene, draw.view(size))?;
+    let camera = draw.camera(draw.looking_round(pose, eye, pitch, aim.is_given(), scene), size);
     let options = draw.options();
     let DrawArgs { device, kernel, .. } = draw;
     Ok(Picture { camera, options, device, kernel })
@@ -88,7 +91,9 @@ pub fn flight(words: &[String], path: Option<&str>, scene: &Scene) -> Result<Fli
     let Command::Fly(args) = command("fly", &["--output=film.mp4", "--", "world"], words)? else {
         unreachable!("the command is fly");
     };
-    let view = args.draw.view(args.size);
+    let size = args.draw.size(args.size, [640, 360]);
+    args.draw.check_projection(size)?;
+    let view = args.draw.view(size);
     let given = path.map(|text| Path::parse(text, view.fov).map_err(|e| Error::Argument(format!("path: {e}"))));
     let path = match given.transpose()? {
         Some(path) => path,
@@ -101,7 +106,7 @@ pub fn flight(words: &[String], path: Option<&str>, scene: &Scene) -> Result<Fli
         let Range { start, end } = range;
         return Err(Error::Argument(format!("--frames {start}..{end}: the film has frames 0..{frames}")));
     }
-    let cameras = path.poses(frames).iter().map(|p| p.camera(args.size)).collect();
+    let cameras = path.poses(frames).iter().map(|p| args.draw.camera(*p, size)).collect();
     let options = args.draw.options();
     let DrawArgs { device, kernel, .. } = args.draw;
     Ok(Flight { cameras, range, fps: args.fps, encoder: args.encoder, options, device, kernel })

@@ -286,7 +286,12 @@ impl CpuRenderer {
     fn rests_at(&mut self, camera: &Camera, options: &Options) -> bool {
         // These need the planes of the view itself.
         let by_view = options.smooth || options.shadows || options.normals == Normals::Derived;
-        if !self.keeps || by_view || options.planes != Planes::Auto || options.samples != 1.0 || options.remap == Remap::Nearest {
+        if !self.keeps
+            || by_view
+            || options.planes != Planes::Auto
+            || options.samples != 1.0
+            || options.remap == Remap::Nearest
+        {
             return false;
         }
         let before = self.rests.replace((*camera, *options));

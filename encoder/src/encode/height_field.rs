@@ -98,7 +98,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{ColumnsBuilder, Run, exposure, mips};
+    use crate::encode::mips;
+    use crate::model::exposure;
+    use crate::{ColumnsBuilder, Run};
 
     fn columns(width: u32, heights: &[u16]) -> Columns {
         let mut out = ColumnsBuilder::new(width, 70, heights.len() as u32 / width);

@@ -16,14 +16,14 @@ use std::sync::{Arc, Mutex};
 use rayon::prelude::*;
 
 use crate::encode::build::input_colors;
+use crate::encode::height_field::HeightField;
 use crate::encode::memory;
 use crate::encode::mips;
 use crate::encode::part::{Finished, Part, Plan, Stored, WORK};
 use crate::format::file::Modes;
+use crate::format::write::heights_blob;
 use crate::format::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
 use crate::format::{self, Grid, TILE, TileEntry};
-use crate::encode::height_field::HeightField;
-use crate::format::write::heights_blob;
 use crate::model::exposure;
 use crate::model::pieces::Pieces;
 use crate::store::scratch;

@@ -294,13 +294,12 @@ pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions)
 /// A picture in colours, strip by strip or tile by tile; where it lies, and its size. `put` gets a part of a row, from a column on.
 pub(super) fn colors(
     path: &Path,
-    input: Box<dyn Stream + '_>,
-    len: usize,
+    bytes: &[u8],
     put: &dyn Fn(u32, u32, u32, &[u8]) -> Result<()>,
 ) -> Result<(Option<Place>, [u32; 2])> {
-    let mut tiff = Tiff::open(path, input, len)?;
-    let (page, _) = pages(&mut tiff)?;
-    let image = tiff.image(&page)?;
+    let tiff = Tiff::open(path, bytes, true)?;
+    let (page, _) = pages(&tiff)?;
+    let image = tiff.image(page)?;
     let bands: &[u32] = match (image.photometric, image.samples) {
         (2 | 6, 3..) => &[0, 1, 2],
         (0 | 1 | 3, _) => &[0, 0, 0],
@@ -319,7 +318,7 @@ pub(super) fn colors(
     }
     // A palette has all reds first, then greens, then blues, of 16 bits each.
     let palette =
-        if image.photometric == 3 { tiff.integers(&page, tags::COLOR_MAP)?.unwrap_or_default() } else { Vec::new() };
+        if image.photometric == 3 { tiff.integers(page, tags::COLOR_MAP)?.unwrap_or_default() } else { Vec::new() };
     let colors = palette.len() / 3;
     if image.photometric == 3 && colors < 1 << image.bits.min(16) {
         return Err(tiff.fault(format!(
@@ -360,7 +359,7 @@ pub(super) fn colors(
             }
         }
     }
-    Ok((place(&mut tiff, &page, path)?, [image.width, image.height]))
+    Ok((place(&tiff, page, path)?, [image.width, image.height]))
 }
 
 /// JFIF's colours.

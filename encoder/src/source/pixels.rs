@@ -92,9 +92,7 @@ impl Pixels {
                 let at = u64::from(z) * u64::from(width) + u64::from(x);
                 write_at(&file, pixels, 3 * at).map_err(failing("write a file in"))
             };
-            let input = stream(path, &bytes, true)?;
-            let (place, [width, height]) =
-                super::guarded(path, "TIFF", || geotiff::colors(path, input, bytes.len(), &put))?;
+            let (place, [width, height]) = super::guarded(path, "TIFF", || geotiff::colors(path, &bytes, &put))?;
             return Ok(Pixels { width, height, place, file });
         }
         let affine = geotiff::world_file(path, &["pgw", "pngw", "jgw", "jpgw", "wld"]);
