@@ -241,6 +241,8 @@ def tiffs(planecast, p):
         ("three bands, planar, deflate", dict(a=DEM, more=[DEM + 5, DEM * 2], interleave="band", compress="deflate", predictor=3)),
         ("three bands, chunky, predictor 2", dict(a=DEM.astype("i2"), more=[DEM.astype("i2") + 5, DEM.astype("i2") * 2], interleave="pixel", compress="lzw", predictor=2)),
     ]
+    near = np.where(holes < 0, np.float32(1e20), holes).astype("f8")
+    cases.append(("no-data value of f64 that were f32", dict(a=near, nodata=1e20)))
     for what, k in cases:
         yield from compare(planecast, "GeoTIFF", what, write(p("a.tif"), **k))
     for compress in (None, "deflate", "lzw", "zstd"):

@@ -357,7 +357,7 @@ fn frames(path: &Path, object: &DefaultDicomObject, file: usize) -> Result<Optio
     {
         return fail(format!("colours ({kind}) are not read; save it as grey"));
     }
-    let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']);
+    let syntax = syntax_of(object);
     let codec = match syntax.strip_prefix("1.2.840.10008.1.2.4.") {
         Some("80" | "81") => "JPEG-LS",
         Some("90" | "91" | "92" | "93") => "JPEG 2000",
@@ -659,9 +659,18 @@ fn pixels(path: &Path, object: &DefaultDicomObject, frame: &Frame) -> Result<(Dt
     let size = if form.allocated == 1 { 1 } else { dtype.size() as usize };
     let short =
         |got: usize| fail(format!("{got} bytes of pixels, {} × {} of them expect more", form.size[0], form.size[1]));
-    if element.fragments().is_some() {
+    if let Some(fragments) = element.fragments() {
         if form.allocated == 1 {
             return Err(fail("packed bits of 1 bit a value; unpack them".to_owned()));
+        }
+        // The decoder takes memory for as many segments as a head claims. A segment is a byte of each value.
+        if syntax_of(object) == RLE {
+            let head: Option<[u8; 4]> =
+                fragments.get(frame.index as usize).and_then(|f| f.get(..64)?.first_chunk()).copied();
+            let (claimed, right) = (head.map_or(0, u32::from_le_bytes), form.allocated / 8);
+            if claimed != right {
+                return Err(fail(format!("RLE of {claimed} segments; {right} were expected, the file is damaged")));
+            }
         }
         let decoded = object.decode_pixel_data_frame(frame.index).map_err(|e| {
             let cause = std::error::Error::source(&e).map(|e| format!(": {e}")).unwrap_or_default();
@@ -681,6 +690,13 @@ fn pixels(path: &Path, object: &DefaultDicomObject, frame: &Frame) -> Result<(Dt
     }
     let bytes = bytes.get(at * size..(at + n) * size).ok_or_else(|| short(bytes.len()))?;
     Ok((dtype, if floats.is_some() { bytes.to_vec() } else { masked(bytes, form) }))
+}
+
+/// RLE Lossless.
+const RLE: &str = "1.2.840.10008.1.2.5";
+
+fn syntax_of(object: &DefaultDicomObject) -> &str {
+    object.meta().transfer_syntax().trim_end_matches(['\0', ' '])
 }
 
 /// Values of the bits from `high` down, `stored` of them, with their sign.

@@ -121,13 +121,15 @@ struct Meaning {
     nodata: Option<f64>,
     scale: f64,
     offset: f64,
-    /// Samples are f32: a no-data value's text may have more digits, or fewer.
-    single: bool,
+    /// Samples are floats: a no-data value's text may have more digits, or fewer, and values may have been f32.
+    float: bool,
 }
 
 impl Meaning {
     fn height(&self, stored: f64) -> f32 {
-        let none = self.nodata.is_some_and(|n| n == stored || self.single && n as f32 == stored as f32);
+        // As near as GDAL takes them for equal, f64 too.
+        let near = |n: f64| (n - stored).abs() < 2.0 * f64::from(f32::EPSILON) * (n + stored).abs();
+        let none = self.nodata.is_some_and(|n| n == stored || self.float && near(n));
         if none { f32::NAN } else { (stored * self.scale + self.offset) as f32 }
     }
 }
@@ -199,8 +201,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions)
     if (scale, offset) != (1.0, 0.0) {
         rules.push(format!("heights are stored values × {scale} + {offset}"));
     }
-    let single = image.sample == Sample::Float && image.bits == 32;
-    let meaning = Meaning { nodata, scale, offset, single };
+    let meaning = Meaning { nodata, scale, offset, float: image.sample == Sample::Float };
 
     let mut heights = Heights::new(image.width, image.height)?;
     // What was never written is no data, or else 0.

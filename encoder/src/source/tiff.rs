@@ -394,7 +394,9 @@ impl<'a> Tiff<'a> {
             return Err(fault(format!("{n} offsets and {m} byte counts of {chunks} strips or tiles (tag {offsets})")));
         }
         let sparse = image.counts.iter().filter(|&&n| n == 0).count() as u64;
-        let size = u64::from(width) as f64 * f64::from(height) * (samples * bits) as f64 / 8.0;
+        // A tile may be larger than the image.
+        let pixels = (f64::from(width) * f64::from(height)).max(f64::from(chunk[0]) * f64::from(chunk[1]));
+        let size = pixels * (samples * bits) as f64 / 8.0;
         let room = self.all.len() as f64 * compression.inflation()
             + (sparse * SPARSE_CHUNK) as f64 * (samples * bits) as f64 / 8.0;
         if size > room {

@@ -185,8 +185,7 @@ pub(super) fn byte_len(path: &Path, dims: [u64; 3], dtype: Dtype) -> Result<u64>
 
 /// `--dims`, `--dtype`: values without a header.
 pub(super) fn raw<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Volume<'a>> {
-    let about = About::new(Kind::Volume, "raw volume");
-    Volume::new(path, Stored { about, ..raw_array(path, bytes, opts)? }, opts)
+    Volume::new(path, raw_array(path, bytes, opts)?, opts)
 }
 
 /// A volume of which `bytes` are no more than the head right, and whose values are in `object`; None where it is a height
@@ -241,8 +240,8 @@ fn raw_array<'a>(path: &Path, bytes: &'a [u8], opts: &ReadOptions) -> Result<Sto
             ),
         ));
     }
-    let data = Data::Slice(bytes);
-    Ok(Stored::new(dims, dtype, data))
+    let about = About::new(Kind::Volume, "raw volume");
+    Ok(Stored { about, ..Stored::new(dims, dtype, Data::Slice(bytes)) })
 }
 
 /// The first `len` bytes of a gzip stream.

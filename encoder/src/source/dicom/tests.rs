@@ -328,3 +328,23 @@ fn a_series_stands_on_its_feet_in_cubes() {
         }
     }
 }
+
+#[test]
+fn rle_of_other_than_a_segment_per_byte_is_refused() {
+    let seed = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds/dicom/rle");
+    // Without the two bytes of flags.
+    let good = fs::read(seed).unwrap().split_off(2);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.dcm");
+    let opened = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        open(&path, &opts("--iso 1")).map_err(|e| e.to_string())
+    };
+    opened(&good).unwrap();
+    // Segments, and that the first follows the head.
+    let at = good.windows(8).position(|w| w[0] < 3 && w[1..] == [0, 0, 0, 64, 0, 0, 0]).unwrap();
+    let mut wrong = good.clone();
+    wrong[at] += 1;
+    let e = opened(&wrong).err().unwrap();
+    assert!(e.contains(&format!("RLE of {} segments; {} were expected", wrong[at], good[at])), "{e}");
+}

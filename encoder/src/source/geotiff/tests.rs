@@ -164,6 +164,15 @@ fn chunks_without_bytes_are_no_data_or_zero() {
         let none = read_heights(&little(&[page.says(tags::GDAL_NODATA, "-9999")]), "");
         assert_eq!([none[0], none[15], none[16], none[511]], [None, None, Some(7), Some(7)]);
     }
+    // Floats are none where they are as near to the value as GDAL asks for.
+    let of = |v: f64| MadePage::new([2, 1], 64, 3, bytes_of([v.to_le_bytes(), 5f64.to_le_bytes()]));
+    for (v, none) in [(f64::from(1e20f32), true), (1e20 * (1.0 + 1e-6), false)] {
+        let page = of(v).says(tags::GDAL_NODATA, "1e+20");
+        match none {
+            true => assert_eq!(read_heights(&little(&[page]), "--height-scale 1"), [None, Some(5)]),
+            false => assert!(refused(&little(&[page]), "--height-scale 1").contains("the highest value")),
+        }
+    }
     // Strips, too; and all that was never written may be all there is.
     let page = MadePage::new([4, 2], 8, 1, Vec::new()).with(tags::ROWS_PER_STRIP, &[1]);
     let strips = MadePage { chunks: vec![vec![1, 2, 3, 4], Vec::new()], ..page.clone() };
@@ -438,6 +447,11 @@ fn what_a_tiff_claims_is_held_against_its_bytes() {
     assert!(refused(&little(std::slice::from_ref(&page)), "").contains("cannot hold"));
     let never = page.with(tags::ROWS_PER_STRIP, &[60_000]);
     assert!(refused(&little(&[MadePage { chunks: vec![Vec::new()], ..never }]), "").contains("cannot hold"));
+    for compression in [1, 2, 3, 4, 8, 50_000] {
+        let tile = MadePage::new([1, 1], 1, 1, Vec::new()).with(tags::COMPRESSION, &[compression]);
+        let tile = tile.tiles(65_535, vec![vec![0xff; 9]]);
+        assert!(refused(&little(&[tile]), "").contains("cannot hold"), "compression {compression}");
+    }
     let mut endless = little(&[MadePage::new([2, 1], 8, 1, vec![1, 2])]);
     let (n, first) = (endless.len(), endless[4..8].to_vec());
     endless[n - 4..].copy_from_slice(&first);
