@@ -383,8 +383,12 @@ impl App {
         if let Some(old) = &self.world {
             let [was, is] = [old.resident.dims[1], world.resident.dims[1]].map(f64::from);
             if keeps == Keeps::Height && was > 0.0 {
-                self.control.pose.eye.y *= is / was;
-                self.control.target.y *= is / was;
+                // What is looked at stays where it is in the picture.
+                let forward = self.control.pose.camera([1, 1]).basis().forward;
+                let at = self.control.pose.eye + forward * self.ahead.unwrap_or(0.0);
+                let lifted = at.y.clamp(0.0, was) * (is / was - 1.0);
+                self.control.pose.eye.y += lifted;
+                self.control.target.y += lifted;
             }
         }
         if keeps == Keeps::Nothing {
@@ -727,12 +731,11 @@ impl App {
         let Some(route) = self.recorder.stop(self.control.pose) else { return Ok(()) };
         let path = unused("path", "json");
         output::write(&path, |out| out.write_all(route.to_json().as_bytes()))?.finish()?;
-        let scene = self.world.as_ref().map_or(PathBuf::from("SCENE"), |w| w.scene_file());
         let file = path.display();
         let text = format!(
             "{} keyframes in {file}: planecast fly {} -o flight.mp4 --path {file}",
             route.keyframes().len(),
-            quoted(&scene)
+            self.scene()
         );
         if self.script.is_some() {
             cli::print(&format!("{text}\n"))?;
@@ -746,13 +749,20 @@ impl App {
         self.panel.screenshot_size.unwrap_or(self.area()[1])
     }
 
+    /// What a command is given for the world: a scene file, or the input and how it is tuned.
+    fn scene(&self) -> String {
+        match &self.world {
+            Some(world) if world.encoded => {
+                format!("{} {}", quoted(&world.path), self.tune.flags()).trim_end().to_owned()
+            }
+            Some(world) => quoted(&world.path),
+            None => "SCENE".to_owned(),
+        }
+    }
+
     /// The command that draws this view.
     fn command(&self, size: [u32; 2]) -> String {
-        let scene = match &self.world {
-            Some(world) if self.tune != Tune::default() => format!("{} {}", quoted(&world.path), self.tune.flags()),
-            Some(world) => quoted(&world.scene_file()),
-            None => "SCENE".to_owned(),
-        };
+        let scene = self.scene();
         let flags = self.draws.options(&self.options).flags();
         let text = format!(
             "planecast render {scene} -o view.png {} --size {}x{} {} {flags}",
