@@ -170,6 +170,8 @@ struct App {
     /// Voxel, place and value under the mouse, in words, and from the eye to the middle of the picture.
     hover: Option<String>,
     ahead: Option<f64>,
+    /// Nothing of the world is in sight.
+    lost: bool,
     /// What was drawn last was as all is drawn at rest; the view that rests, and since when.
     seen: (Pose, Options, [u32; 2]),
     rests: Instant,
@@ -239,6 +241,7 @@ impl App {
             recent: last::recent_file().map(|file| last::recent(&file)).unwrap_or_default(),
             hover: None,
             ahead: None,
+            lost: false,
             seen: (pose, options, [0; 2]),
             rests: Instant::now(),
             refined: false,
@@ -904,6 +907,8 @@ impl App {
                 self.control.mode().eq(&Mode::Orbit).then(|| (self.control.target - self.control.pose.eye).length())
             }
         };
+        let part = |k: usize, n: u32| f64::from(at[k]) + f64::from(size[k]) * (f64::from(n) + 0.5) / 8.0;
+        self.lost = self.ahead.is_none() && !(0..64).any(|i| self.pick([part(0, i % 8), part(1, i / 8)]).is_some());
         let pick = self.in_area(self.cursor).then(|| self.pick(self.cursor)).flatten();
         self.hover = pick.zip(self.world.as_ref()).map(|((ray, hit), world)| {
             let voxel = hit.voxel.map(|v| v.max(0) as u32);
@@ -1047,6 +1052,9 @@ impl App {
         let mut lines = if self.noted.elapsed() < NOTES { self.notes.clone() } else { Vec::new() };
         if self.is_inside() {
             lines.push("inside the ground: all that is seen is one voxel (Home leads out)".into());
+        }
+        if self.lost && self.world.is_some() && self.keeps.is_none() {
+            lines.push("nothing but sky is in sight (Home leads back)".into());
         }
         match &self.recorder {
             Recorder::Recording { t, .. } => lines.push(format!("recording, {t:.1} s (R stops)")),
