@@ -195,7 +195,7 @@ impl Overlay<'_> {
         let (ahead, side) = (vec2(s, -c), vec2(c, s));
         let tip = middle + ahead * 12.0;
         let shape =
-            vec![tip, middle + side * 7.0 - ahead * 18.0, middle - ahead * 12.0, middle - side * 7.0 - ahead * 18.0];
+            [tip, middle + side * 7.0 - ahead * 18.0, middle - ahead * 12.0, middle - side * 7.0 - ahead * 18.0];
         paint.circle_filled(middle, 30.0, Color32::from_black_alpha(110));
         paint.add(egui::Shape::convex_polygon(shape[..3].to_vec(), Color32::WHITE, Stroke::NONE));
         paint.add(egui::Shape::convex_polygon(

@@ -26,7 +26,7 @@ pub struct Tune {
 pub enum Keeps {
     /// The camera where it is.
     All,
-    /// The camera, as high in the world as it was.
+    /// The camera, raised or lowered with what it looks at.
     Height,
     /// Nothing: a good view.
     Nothing,

@@ -170,6 +170,8 @@ struct App {
     /// Voxel, place and value under the mouse, in words, and from the eye to the middle of the picture.
     hover: Option<String>,
     ahead: Option<f64>,
+    /// Nothing of the world is in sight.
+    lost: bool,
     /// What was drawn last was as all is drawn at rest; the view that rests, and since when.
     seen: (Pose, Options, [u32; 2]),
     rests: Instant,
@@ -239,6 +241,7 @@ impl App {
             recent: last::recent_file().map(|file| last::recent(&file)).unwrap_or_default(),
             hover: None,
             ahead: None,
+            lost: false,
             seen: (pose, options, [0; 2]),
             rests: Instant::now(),
             refined: false,
@@ -383,8 +386,12 @@ impl App {
         if let Some(old) = &self.world {
             let [was, is] = [old.resident.dims[1], world.resident.dims[1]].map(f64::from);
             if keeps == Keeps::Height && was > 0.0 {
-                self.control.pose.eye.y *= is / was;
-                self.control.target.y *= is / was;
+                // What is looked at stays where it is in the picture.
+                let forward = self.control.pose.camera([1, 1]).basis().forward;
+                let at = self.control.pose.eye + forward * self.ahead.unwrap_or(0.0);
+                let lifted = at.y.clamp(0.0, was) * (is / was - 1.0);
+                self.control.pose.eye.y += lifted;
+                self.control.target.y += lifted;
             }
         }
         if keeps == Keeps::Nothing {
@@ -728,12 +735,11 @@ impl App {
         let Some(route) = self.recorder.stop(self.control.pose) else { return Ok(()) };
         let path = unused("path", "json");
         output::write(&path, |out| out.write_all(route.to_json().as_bytes()))?.finish()?;
-        let scene = self.world.as_ref().map_or(PathBuf::from("SCENE"), |w| w.scene_file());
         let file = path.display();
         let text = format!(
             "{} keyframes in {file}: planecast fly {} -o flight.mp4 --path {file}",
             route.keyframes().len(),
-            quoted(&scene)
+            self.scene()
         );
         if self.script.is_some() {
             cli::print(&format!("{text}\n"))?;
@@ -747,13 +753,20 @@ impl App {
         self.panel.screenshot_size.unwrap_or(self.area()[1])
     }
 
+    /// What a command is given for the world: a scene file, or the input and how it is tuned.
+    fn scene(&self) -> String {
+        match &self.world {
+            Some(world) if world.encoded => {
+                format!("{} {}", quoted(&world.path), self.tune.flags()).trim_end().to_owned()
+            }
+            Some(world) => quoted(&world.path),
+            None => "SCENE".to_owned(),
+        }
+    }
+
     /// The command that draws this view.
     fn command(&self, size: [u32; 2]) -> String {
-        let scene = match &self.world {
-            Some(world) if self.tune != Tune::default() => format!("{} {}", quoted(&world.path), self.tune.flags()),
-            Some(world) => quoted(&world.scene_file()),
-            None => "SCENE".to_owned(),
-        };
+        let scene = self.scene();
         let flags = self.draws.options(&self.options).flags();
         let text = format!(
             "planecast render {scene} -o view.png {} --size {}x{} {} {flags}",
@@ -895,6 +908,8 @@ impl App {
                 self.control.mode().eq(&Mode::Orbit).then(|| (self.control.target - self.control.pose.eye).length())
             }
         };
+        let part = |k: usize, n: u32| f64::from(at[k]) + f64::from(size[k]) * (f64::from(n) + 0.5) / 8.0;
+        self.lost = self.ahead.is_none() && !(0..64).any(|i| self.pick([part(0, i % 8), part(1, i / 8)]).is_some());
         let pick = self.in_area(self.cursor).then(|| self.pick(self.cursor)).flatten();
         self.hover = pick.zip(self.world.as_ref()).map(|((ray, hit), world)| {
             let voxel = hit.voxel.map(|v| v.max(0) as u32);
@@ -1038,6 +1053,9 @@ impl App {
         let mut lines = if self.noted.elapsed() < NOTES { self.notes.clone() } else { Vec::new() };
         if self.is_inside() {
             lines.push("inside the ground: all that is seen is one voxel (Home leads out)".into());
+        }
+        if self.lost && self.world.is_some() && self.keeps.is_none() {
+            lines.push("nothing but sky is in sight (Home leads back)".into());
         }
         match &self.recorder {
             Recorder::Recording { t, .. } => lines.push(format!("recording, {t:.1} s (R stops)")),

@@ -292,21 +292,24 @@ pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions)
     })
 }
 
-/// A picture in colours, strip by strip or tile by tile; where it lies, and its size. `put` gets a part of a row, from a column on.
+/// Takes the colours of row `z` of a picture from column `x` on, and how wide it is: `put(x, z, width, pixels)`.
+pub(super) type Put<'a> = dyn Fn(u32, u32, u32, &[u8]) -> Result<()> + 'a;
+
+/// A picture in colours, strip by strip or tile by tile; where it lies, and its size.
 pub(super) fn colors(
     path: &Path,
     bytes: &[u8],
-    put: &dyn Fn(u32, u32, u32, &[u8]) -> Result<()>,
+    put: &Put,
 ) -> Result<(Option<Place>, [u32; 2])> {
     let tiff = Tiff::open(path, bytes, true)?;
     let (page, _) = pages(&tiff)?;
     let image = tiff.image(page)?;
     let bands: &[u32] = match (image.photometric, image.samples) {
-        (2 | 6, 3..) => &[0, 1, 2],
+        (2, 3..) => &[0, 1, 2],
         (0 | 1 | 3, _) => &[0, 0, 0],
         _ => {
             return Err(tiff.fault(format!(
-                "photometric {}: a colour map is grey, RGB, YCbCr or of a palette",
+                "photometric {}: a colour map is grey, RGB or of a palette; gdal_translate makes RGB of others",
                 image.photometric
             )));
         }
@@ -350,7 +353,6 @@ pub(super) fn colors(
                     };
                     line.extend(match image.photometric {
                         3 => [0, 1, 2].map(|k| (palette[k * colors + value(0) as usize] >> 8) as u8),
-                        6 => from_ycbcr([0, 1, 2].map(|k| byte(value(k)))),
                         // White is 0.
                         0 => [255 - byte(value(0)); 3],
                         _ => [0, 1, 2].map(|k| byte(value(k))),
@@ -361,13 +363,6 @@ pub(super) fn colors(
         }
     }
     Ok((place(&tiff, page, path)?, [image.width, image.height]))
-}
-
-/// JFIF's colours.
-fn from_ycbcr([y, cb, cr]: [u8; 3]) -> [u8; 3] {
-    let (y, cb, cr) = (f64::from(y), f64::from(cb) - 128.0, f64::from(cr) - 128.0);
-    let rgb = [y + 1.402 * cr, y - 0.344_136 * cb - 0.714_136 * cr, y + 1.772 * cb];
-    rgb.map(|v| v.round().clamp(0.0, 255.0) as u8)
 }
 
 /// Empties the pixels that a mask says have no data: those whose bit is 0.

@@ -605,7 +605,7 @@ fn colours_are_laid_on_by_coordinates() {
     assert_eq!([at(2, 0), at(3, 2)], [[128; 3]; 2], "beyond the colours");
     assert!(about.left_out.iter().any(|l| l.contains("colours of 50.0 % of the columns")), "{:?}", about.left_out);
     // Another reference system, and another place.
-    let refused = |of| draped(dir.path(), &map, &of).unwrap_err().to_string();
+    let refused = |of: Vec<u8>| draped(dir.path(), &map, &of).unwrap_err().to_string();
     assert!(refused(tiff(form, &[rgb(32_618)])).contains("colours lie in EPSG:32618, heights in EPSG:32617"));
     let mut far = rgb(32_617);
     far.tags.retain(|t| t.0 != tags::TIE_POINTS);
