@@ -763,7 +763,9 @@ fn shared(scene: Scene, features: Features, surface: &Surface, options: &mut Opt
     if options.smooth && !resident.heights {
         options.smooth = false;
         if !surface.stands {
-            tell("--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn");
+            tell(
+                "--smooth on: not every column is one run from the ground up, so that there is no surface; blocks are drawn",
+            );
         }
     }
     if options.normals == Normals::Derived && scene.encoding != planecast_encoder::Encoding::Solid {
