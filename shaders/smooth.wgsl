@@ -62,16 +62,16 @@ fn ground_color(columns_: vec4<u32>, u: vec2<f32>) -> u32 {
 
 fn meet(ray: vec3<f32>, most_depth: f32) -> u32 {
     let dir = ray.xz;
-    let inverse3 = clamp(ray_inverse(ray), vec3(-1e12), vec3(1e12));
-    let inverse = inverse3.xz;
+    let inverse = 1.0 / select(dir, select(vec2(1e-12), vec2(-1e-12), dir < vec2(0.0)), abs(dir) < vec2(1e-12));
+    let rise = ray_inverse(ray).y;
     let dims = levels[0].size;
     let eye = frame.eye_cell.xz;
     let fract_ = frame.eye_fract.xz;
     let height_ = f32(frame.eye_cell.y) + frame.eye_fract.y;
     var end = min(most_depth, frame.view_distance / max(length(dir), TINY));
     var t = 0.0;
-    let top_ = (frame.surface_top - height_) * inverse3.y;
-    let bottom = -height_ * inverse3.y;
+    let top_ = (frame.surface_top - height_) * rise;
+    let bottom = -height_ * rise;
     if (ray.y < 0.0) {
         t = max(t, top_);
         end = min(end, bottom);
@@ -84,7 +84,7 @@ fn meet(ray: vec3<f32>, most_depth: f32) -> u32 {
     let repeats = vec2(frame.repeat_x == 1u, frame.repeat_z == 1u);
     let outside = !repeats & ((eye < vec2(0)) | (eye >= dims));
     if (any(outside)) {
-        let near = select(dims, vec2(0), dir > vec2(0.0));
+        let near = select(dims, vec2(0), dir >= vec2(0.0));
         let enter = (vec2<f32>(near - eye) - fract_) * inverse;
         if (any(outside & (enter < vec2(0.0)))) {
             return NOTHING;
@@ -114,7 +114,7 @@ fn meet(ray: vec3<f32>, most_depth: f32) -> u32 {
         let top = f32(surface_tops[surface_tops[2u * k] + square.y * surface_tops[2u * k + 1u] + square.x]);
         let first = (here >> vec2(shift)) << vec2(shift);
         let past = min(first + vec2(1i << shift), dims);
-        let border = (vec2<f32>(base + select(first, past, dir > vec2(0.0))) - fract_) * inverse;
+        let border = (vec2<f32>(base + select(first, past, dir >= vec2(0.0))) - fract_) * inverse;
         let leave = forward(t, min(border.x, border.y));
         if (height_ + min(ray.y * t, ray.y * leave) >= top) {
             t = leave;
@@ -125,7 +125,7 @@ fn meet(ray: vec3<f32>, most_depth: f32) -> u32 {
             k -= 1u;
             continue;
         }
-        let lines_ = (0.5 * vec2<f32>(half_ + select(vec2(0), vec2(1), dir > vec2(0.0))) - fract_) * inverse;
+        let lines_ = (0.5 * vec2<f32>(half_ + select(vec2(0), vec2(1), dir >= vec2(0.0))) - fract_) * inverse;
         let next = forward(t, min(lines_.x, lines_.y));
         let n = voxels(0u, ix);
         if (n == 0u) {

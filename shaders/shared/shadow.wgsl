@@ -58,7 +58,7 @@ fn blocks(l: u32, here: vec2<i32>, low: f32, high: f32) -> bool {
 fn leave(here: vec2<i32>, base: vec2<i32>, shift: u32, start: vec2<f32>, dir: vec2<f32>, inverse: vec2<f32>) -> f32 {
     let first = (here >> vec2(shift)) << vec2(shift);
     let past = min(first + vec2(1i << shift), levels[0].size);
-    let line = base + select(first, past, dir > vec2(0.0));
+    let line = base + select(first, past, dir >= vec2(0.0));
     let at = (vec2<f32>(line) - start) * inverse;
     return min(at.x, at.y);
 }
@@ -78,7 +78,7 @@ fn sun_shines(from_eye: vec3<f32>, size: f32) -> bool {
     let cell = frame.eye_cell.xz + vec2<i32>(floor_);
     let height_ = from_eye.y + (f32(frame.eye_cell.y) + frame.eye_fract.y);
     let dir = frame.sun_world.xz;
-    let inverse = 1.0 / select(dir, vec2(1e-12), abs(dir) < vec2(1e-12));
+    let inverse = 1.0 / select(dir, select(vec2(1e-12), vec2(-1e-12), dir < vec2(0.0)), abs(dir) < vec2(1e-12));
     let end = min((frame.world_top - height_) / rise, frame.shadow_end);
     let dims = levels[0].size;
     let repeats = vec2(frame.repeat_x == 1u, frame.repeat_z == 1u);
@@ -86,7 +86,7 @@ fn sun_shines(from_eye: vec3<f32>, size: f32) -> bool {
     var t = 0.0;
     if (any(outside)) {
         // From outside to where the world begins.
-        let near = select(dims, vec2(0), dir > vec2(0.0));
+        let near = select(dims, vec2(0), dir >= vec2(0.0));
         let enter = (vec2<f32>(near - cell) - start) * inverse;
         if (any(outside & (enter < vec2(0.0)))) {
             return true;

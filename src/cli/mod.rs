@@ -543,7 +543,7 @@ enum ShadingArg {
     Full,
     /// A sun in the north-west, and its shadows
     Terrain,
-    /// A sun from behind the left shoulder of one who looks north, shadows, derived normals
+    /// A sun from behind the left shoulder of one who looks north, and its shadows
     Model,
     /// Derived normals
     Scan,
@@ -724,7 +724,7 @@ impl DrawArgs {
                 .shadows
                 .map_or(matches!(self.shading, ShadingArg::Terrain | ShadingArg::Model), |s| s == Switch::On),
             normals: match (self.normals, self.shading) {
-                (Some(NormalsArg::Derived), _) | (None, ShadingArg::Model | ShadingArg::Scan) => Normals::Derived,
+                (Some(NormalsArg::Derived), _) | (None, ShadingArg::Scan) => Normals::Derived,
                 _ => Normals::Screen,
             },
             // Where nothing is said, that is decided when the scene is known.

@@ -155,12 +155,16 @@ mod tests {
         let derived = Occupancy::new(&resident, &setup);
         let screen = crate::cpu::shade::screen_normals(&camera, &options, &frame.depth);
         let basis = camera.basis();
-        let (mut n, mut sums) = (0.0, [0.0; 2]);
+        let (mut n, mut without, mut sums) = (0.0, 0, [0.0; 2]);
         for (i, &depth) in frame.depth.iter().enumerate().filter(|(_, z)| z.is_finite()) {
             let ray = camera.ray(&basis, f64::from(i as u32 % width) + 0.5, f64::from(i as u32 / width) + 0.5);
             let [x, y, z, _] = frame.voxel[i].map(f64::from);
             let truth = (DVec3::new(x, y, z) + 0.5 - middle).normalize();
-            let own = derived.at((ray * f64::from(depth)).as_vec3(), ray.as_vec3(), 1.0).expect("a ball has sides");
+            // At the rim it may point away: then that of the screen is taken.
+            let Some(own) = derived.at((ray * f64::from(depth)).as_vec3(), ray.as_vec3(), 1.0) else {
+                without += 1;
+                continue;
+            };
             let of_screen = screen[i];
             let of_screen = basis.right * f64::from(of_screen.x)
                 + basis.up * f64::from(of_screen.y)
@@ -172,7 +176,7 @@ mod tests {
         }
         let [own, of_screen] = sums.map(|sum| sum / n);
         println!("of {n} pixels: derived {own:.2} degrees off, of the screen {of_screen:.2}");
-        assert!(n > 10_000.0 && own < 2.5 && own < of_screen, "{own} {of_screen}");
+        assert!(n > 10_000.0 && f64::from(without) < 0.03 * n && own < 2.5 && own < of_screen, "{own} {of_screen}");
     }
 
     #[test]

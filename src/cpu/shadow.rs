@@ -107,7 +107,8 @@ pub struct Shadows<'a> {
 
 impl<'a> Shadows<'a> {
     pub fn new(resident: &'a Resident, tops: &'a Tops, setup: &Setup, sun: Vec3) -> Shadows<'a> {
-        let inverse = [sun.x, sun.z].map(|d| 1.0 / if d.abs() < 1e-12 { 1e-12 } else { d });
+        let inverse =
+            [sun.x, sun.z].map(|d| 1.0 / if d.abs() < 1e-12 { if d < 0.0 { -1e-12 } else { 1e-12 } } else { d });
         Shadows {
             resident,
             tops,
@@ -141,7 +142,7 @@ impl<'a> Shadows<'a> {
         for axis in 0..2 {
             // From outside to where the world begins.
             if !self.repeats[axis] && !(0..dims[axis]).contains(&cell[axis]) {
-                let near = if dir[axis] > 0.0 { 0 } else { dims[axis] };
+                let near = if dir[axis] >= 0.0 { 0 } else { dims[axis] };
                 let enter = (near.wrapping_sub(cell[axis]) as f32 - start[axis]) * self.inverse[axis];
                 if enter < 0.0 {
                     return true;
@@ -179,7 +180,7 @@ impl<'a> Shadows<'a> {
                 for axis in 0..2 {
                     let first = (here[axis] >> shift) << shift;
                     let past = first.saturating_add(1 << shift).min(dims[axis]);
-                    let line = base[axis].wrapping_add(if dir[axis] > 0.0 { past } else { first });
+                    let line = base[axis].wrapping_add(if dir[axis] >= 0.0 { past } else { first });
                     let at = (line as f32 - start[axis]) * self.inverse[axis];
                     out = if at < out { at } else { out };
                 }
@@ -411,6 +412,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(tops.top, 64.max(scene.dims()[1]));
+        let highest = resident.levels.iter().enumerate().map(|(l, level)| level.top << l).max();
+        assert_eq!(Some(tops.top), highest);
     }
 }

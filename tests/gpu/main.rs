@@ -354,7 +354,11 @@ fn surfaces_of_heights_are_those_of_the_cpu() {
     if !gpu_wanted() {
         return;
     }
-    let mut world = world(Kind::Terrain, 128, Encoding::Solid, ColorMode::Voxel);
+    let hill = |x: u32, z: u32| 30.0 + 14.0 * (f64::from(x) * 0.098).sin() * (f64::from(z) * 0.147).cos();
+    let columns = Columns::from_fn(128, 64, 128, |x, y, z| f64::from(y) < hill(x, z) && (x / 9 + z / 9) % 7 != 3);
+    let colors = Colors::Function(Box::new(|x, y, z| [(x * 2) as u8, (y * 4) as u8, (z * 2) as u8]));
+    let scene = build(Input { columns, colors, notes: Vec::new() }, &BuildOptions::default()).unwrap();
+    let mut world = World { resident: Arc::new(Resident::new(&scene)), scene: Arc::new(scene) };
     assert!(world.resident.heights);
     for fractions in [false, true] {
         if fractions {
