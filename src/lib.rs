@@ -59,6 +59,9 @@
 //! | `gap_fill` | pixels → pixels without holes | pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
 //! | `shade` | colour, depth → picture | pixel | [`cpu::shade`] | `shade.wgsl` |
 //!
+//! Pictures of the whole sphere ([`Projection`]), and views that turn while the eye rests, look planes of all azimuths up by each
+//! pixel's ray ([`cpu::sphere`]); `shade` has a part of its own for them ([`cpu::shade_rays`]).
+//!
 //! [`cpu::exact`] is the reference for all of them: one f64 ray per pixel at level 0, which shares no code with the planes.
 //! `raycast.wgsl` is the GPU's baseline: one f32 ray per pixel over the same tables and levels.
 //!

@@ -1077,11 +1077,13 @@ impl ViewshedArgs {
         set_threads(self.threads)?;
         let file = planecast_encoder::cli::open(&self.scene, &self.input.read)?.file;
         let about = file.about().clone();
-        let scene = planecast_encoder::cli::read_scene(&file, false)?;
+        // Of heights level 0 alone is read.
+        let level = match viewshed::heights(&file)? {
+            Some(level) => level,
+            None => Resident::new(&planecast_encoder::cli::read_scene(&file, false)?).levels.swap_remove(0),
+        };
         drop(file);
-        let resident = Resident::new(&scene);
-        drop(scene);
-        let seen = viewshed::viewshed(&resident, &self.eye)?;
+        let seen = viewshed::viewshed(&level, &self.eye)?;
         for &i in &seen.inside {
             note!("--eye {:?} is inside something solid: it sees its own column", self.eye[i].to_array());
         }
