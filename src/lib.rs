@@ -59,7 +59,8 @@
 //! | `shade` | colour, depth → picture | a pixel | [`cpu::shade`] | `shade.wgsl` |
 //!
 //! [`exact`] is the reference for all of them: one f64 ray a pixel at level 0, which shares no code with the planes.
-//! `raycast.wgsl` is the GPU's baseline: one f32 ray a pixel over the same tables and levels.
+//! [`cpu::raycast`] and `raycast.wgsl` are the baseline: one f32 ray a pixel through a sparse [`tree`] of 64-bit masks, with the
+//! same levels; `raycast_runs.wgsl` casts it over the tables of planes.
 //!
 //! # Words
 //! *Column*: one (x, z) of the world, y up. *Run*: a solid interval of a column. *Level*: the world at half the resolution
@@ -133,6 +134,7 @@ pub mod specialize;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod stability;
 pub mod tour;
+pub mod tree;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod video;
 pub mod view;

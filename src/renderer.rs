@@ -3,13 +3,14 @@
 use crate::camera::Camera;
 use crate::clock::Instant;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
-use crate::cpu::{gap_fill, refine, remap, shade};
+use crate::cpu::{gap_fill, raycast, refine, remap, resize, shade};
 use crate::error::{Error, Result};
 use crate::frame::{Frame, StageTimes, Stats};
 use crate::options::{Options, Planes, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
-use crate::plane_setup::{EYE_LIMIT, Setup, plane_setup};
+use crate::plane_setup::{EYE_LIMIT, Plane, Setup, plane_setup_in};
 use crate::resident::Resident;
 use crate::specialize::{Specialization, Twin};
+use crate::tree::Tree;
 use planecast_encoder::{ColorMode, Scene};
 use std::sync::Arc;
 
@@ -20,6 +21,8 @@ pub const PIXEL_LIMIT: u64 = 1 << 28;
 pub struct CpuRenderer {
     scene: Arc<Scene>,
     resident: Arc<Resident>,
+    /// Memory of the latest frame's planes.
+    planes: Vec<Plane>,
     buffer: PlaneBuffer,
     color: Vec<u32>,
     index: Vec<u32>,
@@ -27,6 +30,9 @@ pub struct CpuRenderer {
     /// A frame whose memory the next one takes.
     spare: Option<Frame>,
     shade: shade::Scratch,
+    /// Rays instead of planes, and the tree that they are cast through, once there is one.
+    casts_rays: bool,
+    tree: Option<Tree>,
 }
 
 /// What is wanted beside colour and depth.
@@ -111,7 +117,36 @@ impl CpuRenderer {
         let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
-        CpuRenderer { scene, resident, buffer, color, index, doubt, spare: None, shade }
+        let (casts_rays, tree) = (false, None);
+        CpuRenderer {
+            scene,
+            resident,
+            planes: Vec::new(),
+            buffer,
+            color,
+            index,
+            doubt,
+            spare: None,
+            shade,
+            casts_rays,
+            tree,
+        }
+    }
+
+    /// Draws by one ray a pixel through a [`Tree`] from the next frame on, or by planes. The first such frame makes the tree.
+    pub fn set_raycast(&mut self, casts_rays: bool) {
+        self.casts_rays = casts_rays;
+    }
+
+    /// The tree that rays are cast through.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where it takes more than 2³² words.
+    pub fn tree(&mut self) -> Result<&Tree> {
+        if self.tree.is_none() {
+            self.tree = Some(Tree::new(&self.resident)?);
+        }
+        Ok(self.tree.as_ref().expect("it was made above"))
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -125,10 +160,13 @@ impl CpuRenderer {
         if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
+        if self.casts_rays {
+            self.tree()?;
+        }
         let mut frame = self.frame(camera, outputs);
         let start = Instant::now();
 
-        let setup = plane_setup(&self.resident, camera, options);
+        let setup = plane_setup_in(std::mem::take(&mut self.planes), &self.resident, camera, options);
         let setup_ms = milliseconds(start);
 
         let at = Instant::now();
@@ -136,18 +174,31 @@ impl CpuRenderer {
         let voxels = outputs.voxel || retest;
         let traverse = if options.f64_traversal { f64::traverse } else { f32::traverse };
         let specialization = Specialization::new(&self.resident, &setup, camera, options, Twin::Cpu);
-        let counters = traverse(&self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
+        let counters = match self.tree.as_ref().filter(|_| self.casts_rays) {
+            Some(tree) => {
+                let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
+                raycast::raycast(&self.resident, tree, &setup, camera, color, depth, voxel)
+            }
+            None => traverse(&self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels),
+        };
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();
-        let holes = self.remap(&setup, camera, options, retest, &mut frame);
+        let holes = match self.casts_rays {
+            true => {
+                frame.voxel.iter_mut().for_each(|v| *v = world_voxel(&setup, *v));
+                [0, 0]
+            }
+            false => self.remap(&setup, camera, options, retest, &mut frame),
+        };
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
         self.shade(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
 
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "planes");
+        let kernel = if self.casts_rays { "raycast" } else { "planes" };
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", kernel);
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
@@ -162,6 +213,7 @@ impl CpuRenderer {
             shade: shade_ms,
             total: milliseconds(start),
         });
+        self.planes = setup.planes;
         Ok(frame)
     }
 
@@ -199,15 +251,15 @@ impl CpuRenderer {
                 let n = camera.width as usize * camera.height as usize;
                 (spare.width, spare.height, spare.stats) = (camera.width, camera.height, Stats::default());
                 // What is there is drawn over, all of it; of voxels only those that are not sky.
-                spare.color.resize(n, [0; 4]);
-                spare.depth.resize(n, 0.0);
+                resize(&mut spare.color, n, [0; 4]);
+                resize(&mut spare.depth, n, 0.0);
                 spare.voxel.clear();
                 spare.voxel.resize(if outputs.voxel { n } else { 0 }, SKY);
                 spare
             }
             None => empty_frame(camera, outputs),
         };
-        self.color.resize(frame.depth.len(), 0);
+        resize(&mut self.color, frame.depth.len(), 0);
         frame
     }
 
@@ -225,7 +277,7 @@ impl CpuRenderer {
         let sparse = setup.is_sparse();
         if retest {
             let doubts = if setup.refines(camera, options) { self.color.len() } else { 0 };
-            self.doubt.resize(doubts, refine::Doubt::NONE);
+            resize(&mut self.doubt, doubts, refine::Doubt::NONE);
             let mut pixels = remap::Pixels {
                 color: &mut self.color,
                 depth: &mut frame.depth,
@@ -243,7 +295,7 @@ impl CpuRenderer {
             remap::remap(setup, &self.buffer, width, &mut self.color, &mut frame.depth);
             return [0, 0];
         }
-        self.index.resize(self.color.len(), 0);
+        resize(&mut self.index, self.color.len(), 0);
         remap::remap_index(setup, width, &mut self.index);
         let mut holes = [self.index.iter().filter(|&&i| i == remap::HOLE).count() as u64; 2];
         if options.gap_fill {
@@ -301,11 +353,14 @@ pub(crate) fn inside_solid(
 /// A frame without a picture yet.
 fn empty_frame(camera: &Camera, outputs: Outputs) -> Frame {
     let n = camera.width as usize * camera.height as usize;
+    let (mut color, mut depth) = (Vec::new(), Vec::new());
+    resize(&mut color, n, [0; 4]);
+    resize(&mut depth, n, 0.0);
     Frame {
         width: camera.width,
         height: camera.height,
-        color: vec![[0; 4]; n],
-        depth: vec![0.0; n],
+        color,
+        depth,
         voxel: vec![SKY; if outputs.voxel { n } else { 0 }],
         stats: Stats::default(),
     }

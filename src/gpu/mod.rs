@@ -22,6 +22,7 @@ use crate::plane_setup::{Setup, plane_setup};
 use crate::renderer::{Outputs, check, frame_stats, inside_solid};
 use crate::resident::Resident;
 use crate::specialize::{Feature, Specialization, Twin};
+use crate::tree::{Roots, Tree};
 pub use engine::Shader;
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
@@ -40,19 +41,27 @@ pub enum Kernel {
     /// One plane per workgroup: all lanes walk slices of the plane's ray at once.
     #[default]
     Workgroup,
-    /// One ray per pixel over the same tables and levels: the baseline.
+    /// One ray per pixel through a sparse tree of 64-bit masks ([`crate::tree`]), with the same levels: the baseline.
     Raycast,
+    /// One ray per pixel over the tables of planes.
+    RaycastRuns,
 }
 
 impl Kernel {
-    pub const ALL: [Kernel; 3] = [Kernel::Invocation, Kernel::Workgroup, Kernel::Raycast];
+    pub const ALL: [Kernel; 4] = [Kernel::Invocation, Kernel::Workgroup, Kernel::Raycast, Kernel::RaycastRuns];
 
     pub fn name(self) -> &'static str {
         match self {
             Kernel::Invocation => "invocation",
             Kernel::Workgroup => "workgroup",
             Kernel::Raycast => "raycast",
+            Kernel::RaycastRuns => "raycast-runs",
         }
+    }
+
+    /// Whether each pixel has a ray of its own, and there are no planes.
+    pub fn casts_rays(self) -> bool {
+        matches!(self, Kernel::Raycast | Kernel::RaycastRuns)
     }
 }
 
@@ -118,6 +127,8 @@ pub struct GpuRenderer {
     options: GpuOptions,
     engine: Engine,
     tables: GpuResident,
+    /// Bytes of the tree that rays are cast through; 0 before one is.
+    tree_bytes: u64,
     buffers: HashMap<&'static str, wgpu::Buffer>,
     queries: Option<wgpu::QuerySet>,
     pending: VecDeque<Pending>,
@@ -319,6 +330,7 @@ impl GpuRenderer {
             options,
             engine,
             tables,
+            tree_bytes: 0,
             buffers,
             queries,
             pending,
@@ -484,7 +496,7 @@ impl GpuRenderer {
         let at_once = match self.options.kernel {
             // At least 32 lanes have a slice each, in which there are two columns.
             Kernel::Workgroup => 16,
-            Kernel::Invocation | Kernel::Raycast => 1,
+            Kernel::Invocation | Kernel::Raycast | Kernel::RaycastRuns => 1,
         };
         let allowed = at_once * if self.engine.software { MAX_STEPS_SOFTWARE } else { MAX_STEPS };
         if steps <= allowed {
@@ -528,7 +540,7 @@ impl GpuRenderer {
             frame.stats.device = self.engine.name.clone();
             frame.stats.cpu_ms = None;
             frame.stats.gpu_ms = Some(StageTimes::default());
-            frame.stats.bytes_scene_gpu = self.tables.bytes;
+            frame.stats.bytes_scene_gpu = self.tables.bytes + self.tree_bytes;
             return Ok(Drawn::Inside(Box::new(frame)));
         }
         let Prepared { setup, upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
@@ -538,6 +550,9 @@ impl GpuRenderer {
         self.check_steps(&setup, options)?;
         let plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         self.reserve(&plan)?;
+        if plan.kernel == Kernel::Raycast && self.tree_bytes == 0 {
+            self.plant()?;
+        }
         self.upload(&upload, camera, options.ssao_samples);
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -583,7 +598,7 @@ impl GpuRenderer {
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels_drawn = setup.levels;
         frame.stats.left_out = plan.specialization.left_out();
-        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        frame.stats.bytes_scene_gpu = self.tables.bytes + self.tree_bytes;
         Ok(Drawn::Sent(Box::new(Sent { plan, frame, start, setup_ms })))
     }
 }
@@ -598,6 +613,9 @@ const SOFTWARE_TURNS: u64 = 65_535;
 
 /// Columns of a walk that is sure to take more, and is not begun.
 const MAX_STEPS_SOFTWARE: u64 = 60_000;
+
+/// Runs have colours: see [`GpuResident::paint`].
+const PAINT_RUN: u32 = 1;
 
 /// What a walk that was cut short says it visited: `CUT_SHORT` in the shaders.
 const CUT_SHORT: u32 = u32::MAX;
@@ -660,7 +678,7 @@ impl Plan {
             plane_voxel: outputs.voxel || retest,
             image_voxel: outputs.voxel,
             retest,
-            refine: gpu.kernel != Kernel::Raycast && setup.refines(camera, options),
+            refine: !gpu.kernel.casts_rays() && setup.refines(camera, options),
             sparse,
             gap_fill: options.gap_fill,
             n_counters: 0,
@@ -692,7 +710,7 @@ impl Plan {
                 plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
-            Kernel::Raycast => {
+            Kernel::Raycast | Kernel::RaycastRuns => {
                 plan.lanes = 8;
                 plan.n_counters = groups(plan.width, 8) * groups(plan.height, 8);
             }
@@ -721,7 +739,7 @@ impl Plan {
     }
 
     fn gathers(&self) -> bool {
-        self.sparse && !self.retest && self.kernel != Kernel::Raycast
+        self.sparse && !self.retest && !self.kernel.casts_rays()
     }
 
     /// What is read back, with the picture or only the figures.
@@ -753,7 +771,7 @@ impl GpuRenderer {
     fn reserve(&mut self, plan: &Plan) -> Result<()> {
         use wgpu::BufferUsages as U;
         let pixels = plan.pixels();
-        let planes = if plan.kernel == Kernel::Raycast { 0 } else { plan.samples };
+        let planes = if plan.kernel.casts_rays() { 0 } else { plan.samples };
         let plane_voxel = if plan.plane_voxel { planes } else { 0 };
         let image_voxel = if plan.image_voxel { pixels } else { 0 };
         let index = if plan.gathers() { pixels } else { 0 };
@@ -798,6 +816,40 @@ impl GpuRenderer {
             })?;
             self.buffers.insert(name, buffer);
         }
+        Ok(())
+    }
+
+    /// Makes the tree that rays are cast through and brings it to the device.
+    fn plant(&mut self) -> Result<()> {
+        let tree = Tree::new(&self.resident)?;
+        let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
+        if tree.bytes() > limit {
+            return Err(Error::Limit(format!(
+                "tree of {} MiB for kernel raycast: {} allows {} MiB (max_storage_buffer_binding_size); try --kernel raycast-runs",
+                tree.bytes() >> 20,
+                self.engine.name,
+                limit >> 20
+            )));
+        }
+        let mut roots = [Roots::default(); types::MAX_LEVELS];
+        roots[..tree.levels.len()].copy_from_slice(&tree.levels);
+        let sizes = [
+            ("tree", size_of_val(&tree.words[..]), wgpu::BufferUsages::STORAGE),
+            ("roots", size_of_val(&roots), wgpu::BufferUsages::UNIFORM),
+        ];
+        for (name, size, usage) in sizes {
+            let buffer = self.engine.checked(&format!("{name} of {} MiB", size.div_ceil(1 << 20)), || {
+                self.engine.buffer(name, size as u64, usage)
+            })?;
+            self.buffers.insert(name, buffer);
+        }
+        self.write("roots", bytemuck::cast_slice(&roots));
+        // What is on its way takes host memory too.
+        for (part, i) in tree.words.chunks(8 << 20).zip(0..) {
+            self.write_at("tree", i * (32 << 20), bytemuck::cast_slice(part));
+            self.engine.flush()?;
+        }
+        self.tree_bytes = tree.bytes();
         Ok(())
     }
 
@@ -881,7 +933,7 @@ impl GpuRenderer {
     fn traverse(&mut self, recorder: &mut Recorder, plan: &Plan, options: &Options) -> Result<()> {
         let on = |b: bool| f64::from(u8::from(b));
         let culling = options.culling;
-        let voxel = if plan.kernel == Kernel::Raycast { plan.image_voxel } else { plan.plane_voxel };
+        let voxel = if plan.kernel.casts_rays() { plan.image_voxel } else { plan.plane_voxel };
         let mut constants = vec![
             ("PAINT", f64::from(self.tables.paint)),
             ("VOXEL", on(voxel)),
@@ -922,7 +974,13 @@ impl GpuRenderer {
                 let x = plan.n_planes.min(GROUPS_A_ROW);
                 ("traverse_workgroup", [x, groups(plan.n_planes, x.max(1))])
             }
-            Kernel::Raycast => ("raycast", [groups(plan.width, 8), groups(plan.height, 8)]),
+            Kernel::Raycast => {
+                if self.tables.paint == PAINT_RUN {
+                    defines.push("RUN_COLORS");
+                }
+                ("raycast", [groups(plan.width, 8), groups(plan.height, 8)])
+            }
+            Kernel::RaycastRuns => ("raycast_runs", [groups(plan.width, 8), groups(plan.height, 8)]),
         };
         let pipeline = self.engine.pipeline(name, &self.variant(&defines), &constants)?;
         self.record(recorder, "traverse", 0, |pass| self.dispatch(pass, &pipeline, &[], groups));
@@ -932,7 +990,7 @@ impl GpuRenderer {
     fn remap(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
-        if plan.kernel == Kernel::Raycast {
+        if plan.kernel.casts_rays() {
             self.record(recorder, "remap", 1, |_| ());
             return Ok(());
         }

@@ -29,6 +29,7 @@ const FILES: &[(&str, &str)] = files![
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
+    "raycast_runs.wgsl",
     "remap.wgsl",
     "refine.wgsl",
     "gap_fill.wgsl",
@@ -197,7 +198,7 @@ mod tests {
                         &["RETEST"],
                         &["RETEST", "REFINE"],
                         &["RETEST", "REFINE", "PACKED", "LATE_COLOR"],
-                        &["INDEX"],
+                        &["INDEX", "RUN_COLORS"],
                         &["GATHER"],
                     ] {
                         all.push(Variant { defines: [tables, memory, remap].concat(), pages });
@@ -208,8 +209,16 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 7] =
-        ["traverse_invocation", "traverse_workgroup", "raycast", "remap", "refine", "gap_fill", "shade"];
+    const STAGES: [&str; 8] = [
+        "traverse_invocation",
+        "traverse_workgroup",
+        "raycast",
+        "raycast_runs",
+        "remap",
+        "refine",
+        "gap_fill",
+        "shade",
+    ];
 
     #[test]
     fn shaders_are_valid_in_every_variant() {
@@ -236,7 +245,7 @@ mod tests {
             bindings(&assemble("shade", &variants()[0])).unwrap().into_iter().map(|b| b.1).collect();
         assert_eq!(names, ["frame", "image_color", "image_depth", "shaded", "spiral"]);
         let paged = variants().into_iter().find(|v| v.pages[0].n == 3).unwrap();
-        let pages = bindings(&assemble("raycast", &paged)).unwrap();
+        let pages = bindings(&assemble("raycast_runs", &paged)).unwrap();
         assert_eq!(pages.iter().filter(|(_, name)| name.starts_with("columns_")).count(), 3);
     }
 
