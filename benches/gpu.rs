@@ -10,6 +10,7 @@
 
 use criterion::{BenchmarkId, Criterion};
 use planecast::measure::flythrough::{Entry, film, flythrough, poses, stroll};
+use planecast::world::tree::Tree;
 use planecast::{
     Camera, Features, GpuOptions, GpuRenderer, Kernel, Options, Outputs, Planes, Remap, Repeat, Resident, StageTimes,
 };
@@ -60,7 +61,7 @@ fn options(name: &str) -> Options {
 /// Every kernel: `workgroup` also with other numbers of lanes and with wgpu's runtime checks, `invocation` with the paper's
 /// mapping (its default, 32 planes a workgroup) and with one plane a workgroup.
 const KERNELS: &str = "workgroup workgroup:32 workgroup:64 workgroup:128 workgroup:192 workgroup:256 workgroup:checked raycast \
-                       invocation invocation:1";
+                       raycast-runs invocation invocation:1";
 
 /// `KERNEL[:LANES|:checked|:FEATURES]`, features as `--specialize` takes them.
 fn entry(text: &str) -> Entry {
@@ -107,6 +108,14 @@ fn table(names: &[String]) {
         let (scene, resident) = scene(name, size);
         let poses = if is_file(name) { stroll(&resident, w, h) } else { poses(&resident, n, w, h) };
         let options = options(name);
+        if entries.iter().any(|entry| entry.kernel == Kernel::Raycast) {
+            let start = std::time::Instant::now();
+            let tree = Tree::new(&resident).expect("a tree");
+            let (ms, mib) = (start.elapsed().as_secs_f64() * 1e3, tree.bytes() as f64 / f64::from(1 << 20));
+            println!(
+                "{name}: tree of raycast {mib:.1} MiB, all levels, without colours; built in {ms:.0} ms on all threads"
+            );
+        }
         let fly = |what: &str, poses: &[Camera]| match flythrough(&scene, &resident, poses, &options, &entries) {
             Ok(table) => println!("{name}{what}: {table}"),
             Err(e) => println!("{name}{what}: {e}"),

@@ -63,7 +63,8 @@
 //! pixel's ray ([`cpu::sphere`]); `shade` has a part of its own for them ([`cpu::shade_rays`]).
 //!
 //! [`cpu::exact`] is the reference for all of them: one f64 ray per pixel at level 0, which shares no code with the planes.
-//! `raycast.wgsl` is the GPU's baseline: one f32 ray per pixel over the same tables and levels.
+//! [`cpu::raycast`] and `raycast.wgsl` are the baseline: one f32 ray per pixel through a sparse [`world::tree`] of 64-bit masks, with
+//! the same levels; `raycast_runs.wgsl` casts it over the tables of planes.
 //!
 //! # Folders
 //! | module | what belongs in it |

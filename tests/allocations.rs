@@ -1,4 +1,4 @@
-//! What a loop of frames asks of the allocator: memory of the size of pictures only once.
+//! What a loop of frames asks of the allocator: whatever is larger than a few words of its figures only once.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
@@ -10,8 +10,9 @@ use planecast::{Camera, Options, Outputs, Resident};
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, build};
 
-/// Counts what is asked for at once from this size on.
-const LARGE: usize = 64 << 10;
+/// Counts what is asked for at once from this size on: more than names in [`planecast::Stats`] take, and what rayon hands tasks
+/// over in, less than a row of pixels or the planes of a picture.
+const LARGE: usize = 2 << 10;
 
 static LARGE_ONES: AtomicUsize = AtomicUsize::new(0);
 
@@ -36,7 +37,6 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Planes of a small picture take less than [`LARGE`]; its colours, depths and samples more.
 #[test]
 fn frames_in_a_loop_take_the_memory_of_those_before() {
     let scene = Arc::new(build(procedural(Kind::Rocks, 64, 7).unwrap(), &BuildOptions::default()).unwrap());
@@ -47,26 +47,29 @@ fn frames_in_a_loop_take_the_memory_of_those_before() {
         pitch: -20.0,
         roll: 0.0,
         fov: 60.0,
-        width: 160,
-        height: 120,
+        width: 640,
+        height: 360,
     };
     let mut tell = |text: &str| panic!("{text}");
-    let mut renderer = Renderer::with_kernel(&scene, &resident, Device::Cpu, None, &mut tell).unwrap();
-    let mut draw = |i: usize, given_back: bool| {
-        let before = LARGE_ONES.load(Ordering::Relaxed);
-        let frame = renderer.draw_with(&camera(i), &Options::default(), Outputs::default(), &mut tell).unwrap();
-        let asked = LARGE_ONES.load(Ordering::Relaxed) - before;
-        if given_back {
-            renderer.reuse(Some(frame));
-        }
-        asked
-    };
-    let first = draw(0, true);
-    assert!(first >= 4, "the first frame takes its memory: {first}");
-    // Poses differ in how many samples they have: what one more needs may be asked for once.
-    (1..20).for_each(|i| _ = draw(i, true));
-    let later: usize = (0..20).map(|i| draw(i, true)).sum();
-    draw(3, false);
-    let without = draw(4, true);
-    assert_eq!((later, without), (0, 2), "a frame that is kept takes colours and depths with it");
+    for kernel in ["planes", "raycast"] {
+        let mut renderer = Renderer::with_kernel(&scene, &resident, Device::Cpu, Some(kernel), &mut tell).unwrap();
+        let mut draw = |i: usize, given_back: bool| {
+            let before = LARGE_ONES.load(Ordering::Relaxed);
+            let frame = renderer.draw_with(&camera(i), &Options::default(), Outputs::default(), &mut tell).unwrap();
+            let asked = LARGE_ONES.load(Ordering::Relaxed) - before;
+            if given_back {
+                renderer.reuse(Some(frame));
+            }
+            asked
+        };
+        let first = draw(0, true);
+        assert!(first >= 4, "{kernel}: the first frame takes its memory: {first}");
+        // Poses differ in how many samples they have, and threads in what they draw of them: what one more needs may be asked
+        // for once.
+        (1..40).for_each(|i| _ = draw(i % 20, true));
+        let later: usize = (0..20).map(|i| draw(i, true)).sum();
+        draw(3, false);
+        let without = draw(4, true);
+        assert_eq!((later, without), (0, 2), "{kernel}: a frame that is kept takes colours and depths with it");
+    }
 }

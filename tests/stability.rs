@@ -65,7 +65,8 @@ fn run(drawers: impl Fn(&World) -> Vec<Drawer<'_>>) -> (Vec<Row>, Vec<String>) {
 
 #[test]
 fn every_case_keeps_its_bounds_on_the_cpu() {
-    let (_, faults) = run(|world| vec![Drawer::cpu(world), Drawer::cpu_f64(world), Drawer::exact(world)]);
+    let (_, faults) =
+        run(|world| vec![Drawer::cpu(world), Drawer::cpu_f64(world), Drawer::rays(world), Drawer::exact(world)]);
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
 }
 
@@ -353,7 +354,7 @@ fn leaks(n: u32, drawers: impl Fn(&World) -> Vec<Drawer<'_>>) -> (Vec<String>, u
 
 #[test]
 fn closed_worlds_show_no_sky_from_anywhere_on_the_cpu() {
-    let (leaks, pixels) = leaks(1_500, |world| vec![Drawer::cpu(world), Drawer::cpu_f64(world)]);
+    let (leaks, pixels) = leaks(1_500, |world| vec![Drawer::cpu(world), Drawer::cpu_f64(world), Drawer::rays(world)]);
     println!("{pixels} pixels");
     assert!(leaks.is_empty(), "{} frames\n{}", leaks.len(), leaks.join("\n"));
 }

@@ -18,9 +18,13 @@ fn cross_ray(axis: u32, line: i32) -> f32 {
 
 // The first run of a column that the ray meets between q0 and q1.
 fn column(l: u32, cell: vec2<i32>, q0: f32, q1: f32) {
-    n_columns += 1u;
     let ix = column_index(l, wrap(cell.x, levels[l].size.x), wrap(cell.y, levels[l].size.y));
-    let entry = column_entry(l, ix);
+    column_of(l, cell, ix, column_entry(l, ix), q0, q1);
+}
+
+// The same of column number `ix`, whose entry is known.
+fn column_of(l: u32, cell: vec2<i32>, ix: u32, entry: vec2<u32>, q0: f32, q1: f32) {
+    n_columns += 1u;
     if (entry.x == EMPTY) {
         return;
     }

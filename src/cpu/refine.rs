@@ -5,6 +5,7 @@
 //! most are that are seen at a grazing angle. The samples around the pixel tell about how far away it is, so that a short
 //! walk at level 0 finds it. (Not in the papers.) Twin: `shaders/refine.wgsl`.
 
+use crate::cpu::chunks_mut;
 use crate::cpu::remap::{Pixels, ray_inverse};
 use crate::cpu::traverse::Real;
 use crate::frame::camera::Camera;
@@ -46,10 +47,12 @@ pub fn refine(resident: &Resident, setup: &Setup, camera: &Camera, pixels: &mut 
     let w = camera.width as usize;
     let basis = camera.basis();
     let walk = Walk::new(resident, setup);
-    let mut voxels = voxel.chunks_mut(w);
-    let rows = color.chunks_mut(w).zip(depth.chunks_mut(w)).zip(doubt.chunks(w));
-    let rows: Vec<_> = rows.map(|row| (row, voxels.next().unwrap_or_default())).collect();
-    rows.into_par_iter().enumerate().for_each(|(r, (((color, depth), doubt), voxel))| {
+    if doubt.is_empty() {
+        return;
+    }
+    let height = doubt.len() / w;
+    let rows = color.par_chunks_mut(w).zip(depth.par_chunks_mut(w)).zip(doubt.par_chunks(w));
+    rows.zip(chunks_mut(voxel, w, height)).enumerate().for_each(|(r, (((color, depth), doubt), voxel))| {
         let y = r as f64 + 0.5;
         let start = camera.ray(&basis, 0.5, y);
         let step = (camera.ray(&basis, w as f64 + 0.5, y) - start) / w as f64;

@@ -5,12 +5,14 @@
 //! finite for each pixel but one at the vanishing point itself, which any plane of any fan shows.
 //! (Forstmann & Ohya 2009 §3.6, with the arrow turned round: they scatter textured lines, here pixels gather.)
 
+use crate::cpu::chunks_mut;
 use crate::cpu::refine::Doubt;
 use crate::cpu::traverse::{PlaneBuffer, Real, SKY, has_avx2};
 use crate::frame::camera::Camera;
 use crate::frame::plane_setup::{DOWN, Fan, LEFT, RIGHT, Setup, UP, crowd, vertical};
 use crate::world::tables::Resident;
 use rayon::prelude::*;
+use std::cell::Cell;
 
 /// No plane passes within half a pixel.
 pub const HOLE: u32 = u32::MAX;
@@ -232,10 +234,9 @@ fn remap_rows_avx2(task: RowsTask<'_>) {
 fn remap_rows(task: RowsTask<'_>) {
     let RowsTask { setup, buffer, first_row, width, color, depth } = task;
     let w = width as usize;
-    let rows: Vec<_> = (first_row..first_row + (color.len() / w) as u32).map(|r| Row::new(setup, r, width)).collect();
-    let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
+    let (rows, stretches) = task_rows(setup, first_row, width);
     let mut index = [0u32; COLUMNS_A_BLOCK as usize];
-    for (r, part) in parts(&stretches, width) {
+    for (r, part) in parts(&stretches[..color.len() / w], width) {
         let fan = &setup.fans[part.fan];
         let n = fan.n_samples;
         let own = fan.first_sample..fan.first_sample + fan.n_planes as usize * n as usize;
@@ -252,21 +253,21 @@ fn remap_rows(task: RowsTask<'_>) {
     }
 }
 
+/// The rows of a task, and how they are cut.
+fn task_rows(setup: &Setup, first_row: u32, width: u32) -> ([Row<'_>; ROWS_A_TASK], [[Stretch; 3]; ROWS_A_TASK]) {
+    let rows = std::array::from_fn(|r| Row::new(setup, first_row + r as u32, width));
+    let stretches = rows.each_ref().map(Row::stretches);
+    (rows, stretches)
+}
+
 /// The rows' stretches, block of columns by block, each as far as it lies in the block, with its row's number.
-fn parts(stretches: &[[Stretch; 3]], width: u32) -> Vec<(usize, Stretch)> {
-    let mut parts = Vec::with_capacity(2 * stretches.len() * width.div_ceil(COLUMNS_A_BLOCK) as usize);
-    for from in (0..width).step_by(COLUMNS_A_BLOCK as usize) {
+fn parts(stretches: &[[Stretch; 3]], width: u32) -> impl Iterator<Item = (usize, Stretch)> + '_ {
+    (0..width).step_by(COLUMNS_A_BLOCK as usize).flat_map(move |from| {
         let to = (from + COLUMNS_A_BLOCK).min(width);
-        for (r, stretches) in stretches.iter().enumerate() {
-            for s in stretches {
-                let part = Stretch { from: s.from.max(from), to: s.to.min(to), ..*s };
-                if part.from < part.to {
-                    parts.push((r, part));
-                }
-            }
-        }
-    }
-    parts
+        let all = stretches.iter().enumerate().flat_map(|(r, stretches)| stretches.iter().map(move |s| (r, s)));
+        let part = move |(r, s): (usize, &Stretch)| (r, Stretch { from: s.from.max(from), to: s.to.min(to), ..*s });
+        all.map(part).filter(|(_, part)| part.from < part.to)
+    })
 }
 
 /// The voxels' boxes as a pixel's ray meets them.
@@ -324,17 +325,52 @@ impl Boxes {
         near: &mut [f32; BLOCK],
     ) {
         let m = at.len();
+        turned(shown, at, voxel);
         let [x, y, z, l] = voxel;
-        let scratch = x[..m].iter_mut().zip(&mut y[..m]).zip(&mut z[..m]).zip(&mut l[..m]);
-        for ((((x, y), z), l), &at) in scratch.zip(at) {
-            [*x, *y, *z, *l] = shown[at as usize];
-        }
         let voxel = x[..m].iter().zip(&y[..m]).zip(&z[..m]).zip(&l[..m]);
         let [dx, dy, dz] = inverse;
         let inverse = dx[..m].iter().zip(&dy[..m]).zip(&dz[..m]);
         for ((near, (((&x, &y), &z), &l)), ((&dx, &dy), &dz)) in near[..m].iter_mut().zip(voxel).zip(inverse) {
             *near = self.enter([x, y, z, l], [dx, dy, dz]);
         }
+    }
+}
+
+/// The voxels at `at`, each component in an array of its own.
+#[inline(always)]
+fn turned(shown: &[[i32; 4]], at: &[u32], [x, y, z, l]: &mut [[i32; BLOCK]; 4]) {
+    let m = at.len();
+    #[cfg(target_arch = "x86_64")]
+    let (done, [x, y, z, l]) = {
+        use std::arch::x86_64::{_mm_loadu_ps, _mm_storeu_ps, _mm_unpackhi_ps, _mm_unpacklo_ps};
+        use std::arch::x86_64::{_mm_movehl_ps, _mm_movelh_ps};
+        let whole = at.as_chunks::<4>().0;
+        for (k, four) in whole.iter().enumerate() {
+            let voxels = four.map(|at| &shown[at as usize]);
+            let places = [&mut *x, &mut *y, &mut *z, &mut *l].map(|of| &mut of[4 * k..4 * k + 4]);
+            // SAFETY: four words each, read and written; every x86-64 has SSE2.
+            unsafe {
+                let [a, b, c, d] = voxels.map(|v| _mm_loadu_ps(v.as_ptr().cast()));
+                let (xy, xy_next) = (_mm_unpacklo_ps(a, b), _mm_unpacklo_ps(c, d));
+                let (zl, zl_next) = (_mm_unpackhi_ps(a, b), _mm_unpackhi_ps(c, d));
+                let turned = [
+                    _mm_movelh_ps(xy, xy_next),
+                    _mm_movehl_ps(xy_next, xy),
+                    _mm_movelh_ps(zl, zl_next),
+                    _mm_movehl_ps(zl_next, zl),
+                ];
+                for (place, turned) in places.into_iter().zip(turned) {
+                    _mm_storeu_ps(place.as_mut_ptr().cast(), turned);
+                }
+            }
+        }
+        (4 * whole.len(), [x, y, z, l])
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let done = 0;
+    let rest = x[done..m].iter_mut().zip(&mut y[done..m]).zip(&mut z[done..m]).zip(&mut l[done..m]);
+    for ((((x, y), z), l), &at) in rest.zip(&at[done..]) {
+        [*x, *y, *z, *l] = shown[at as usize];
     }
 }
 
@@ -364,17 +400,18 @@ pub fn remap_retest(
     let Pixels { color, depth, voxel, doubt } = pixels;
     let w = camera.width as usize;
     let avx2 = has_avx2();
-    let drawn: Vec<_> = setup.planes.iter().map(|plane| [plane.first, plane.end]).collect();
+    let mut drawn = DRAWN.take();
+    drawn.clear();
+    drawn.extend(setup.planes.iter().map(|plane| [plane.first, plane.end]));
     let whole = [UP, DOWN, LEFT, RIGHT].map(|f| {
         let fan = &setup.fans[f];
         let planes = &drawn[fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize];
         planes.iter().all(|&plane| plane == [0, fan.n_samples])
     });
-    let tasks = color.chunks_mut(ROWS_A_TASK * w).zip(depth.chunks_mut(ROWS_A_TASK * w));
-    let (mut voxels, mut doubts) = (voxel.chunks_mut(ROWS_A_TASK * w), doubt.chunks_mut(ROWS_A_TASK * w));
-    let tasks = tasks.map(|(c, d)| (c, d, voxels.next().unwrap_or_default(), doubts.next().unwrap_or_default()));
-    let tasks: Vec<_> = tasks.collect();
-    tasks.into_par_iter().enumerate().for_each(|(task, (color, depth, voxel, doubt))| {
+    let (n, count) = (ROWS_A_TASK * w, color.len().div_ceil(ROWS_A_TASK * w));
+    let tasks = color.par_chunks_mut(n).zip(depth.par_chunks_mut(n));
+    let tasks = tasks.zip(chunks_mut(voxel, n, count).zip(chunks_mut(doubt, n, count)));
+    tasks.enumerate().for_each(|(task, ((color, depth), (voxel, doubt)))| {
         let first_row = (task * ROWS_A_TASK) as u32;
         let rows = RowsTask { setup, buffer, first_row, width: camera.width, color, depth };
         let task = RetestTask { rows, resident, camera, drawn: &drawn, whole, voxel, doubt };
@@ -386,6 +423,12 @@ pub fn remap_retest(
         let _ = avx2;
         retest_rows(task);
     });
+    DRAWN.set(drawn);
+}
+
+thread_local! {
+    /// What is drawn of each plane: memory, from frame to frame.
+    static DRAWN: Cell<Vec<[u32; 2]>> = const { Cell::new(Vec::new()) };
 }
 
 /// Some rows of a picture whose pixels test voxels.
@@ -474,10 +517,9 @@ fn retest_rows(task: RetestTask<'_>) {
     let w = width as usize;
     let basis = camera.basis();
     let boxes = Boxes { eye: setup.eye_cell, fract: setup.eye_fract.map(|f| f as f32) };
-    let rows: Vec<_> = (first_row..first_row + (color.len() / w) as u32).map(|r| Row::new(setup, r, width)).collect();
-    let stretches: Vec<_> = rows.iter().map(Row::stretches).collect();
+    let (rows, stretches) = task_rows(setup, first_row, width);
     let mut block = Block::EMPTY;
-    for (r, part) in parts(&stretches, width) {
+    for (r, part) in parts(&stretches[..color.len() / w], width) {
         let y = f64::from(rows[r].row) + 0.5;
         let start = camera.ray(&basis, 0.5, y);
         let step = (camera.ray(&basis, f64::from(width) + 0.5, y) - start) / f64::from(width);
@@ -517,10 +559,13 @@ fn retest_rows(task: RetestTask<'_>) {
         let mut n_again = 0;
         for i in 0..m {
             let (one, other) = (near[i], near_beside[i]);
+            if one != MISS && other != MISS {
+                continue;
+            }
             // Sky all around, as in most of a sky: nothing else to find.
             let sky = one == other && own[i] != beside[i] && all_sky(shown, own[i]) && all_sky(shown, beside[i]);
             again.pixel[n_again] = i as u8;
-            n_again += usize::from((one == MISS || other == MISS) && !sky);
+            n_again += usize::from(!sky);
         }
         if doubts {
             settle(&block.voxel, [&near[..m], &near_beside[..m]], &mut block.nearest);

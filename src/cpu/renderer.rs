@@ -7,16 +7,17 @@ use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
 use crate::cpu::smooth::{self, Ground};
 use crate::cpu::sphere::Sphere;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
-use crate::cpu::{gap_fill, refine, remap, shade, shade_rays};
+use crate::cpu::{gap_fill, raycast, refine, remap, resize, shade, shade_rays};
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
 use crate::frame::options::{Normals, Options, Planes, Remap, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
 use crate::frame::picture::{Frame, StageTimes, Stats};
 use crate::frame::plane_setup::sphere::Layout;
-use crate::frame::plane_setup::{EYE_LIMIT, Setup, plane_setup};
+use crate::frame::plane_setup::{EYE_LIMIT, Plane, Setup, plane_setup, plane_setup_in};
 use crate::frame::projection::{Projection, Rays, face_cameras, join_faces};
 use crate::frame::specialize::{Specialization, Twin};
 use crate::world::tables::Resident;
+use crate::world::tree::Tree;
 use planecast_encoder::{ColorMode, Encoding, Scene};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -38,6 +39,8 @@ const SPHERE_LIMIT: u64 = 1 << 28;
 pub struct CpuRenderer {
     scene: Arc<Scene>,
     resident: Arc<Resident>,
+    /// Memory of the latest frame's planes.
+    planes: Vec<Plane>,
     buffer: PlaneBuffer,
     color: Vec<u32>,
     index: Vec<u32>,
@@ -54,6 +57,9 @@ pub struct CpuRenderer {
     /// The latest view, while frames may keep their sphere.
     rests: Option<(Camera, Options)>,
     keeps: bool,
+    /// Rays instead of planes, and the tree that they are cast through, once there is one.
+    casts_rays: bool,
+    tree: Option<Tree>,
 }
 
 /// What is wanted beside colour and depth.
@@ -139,6 +145,7 @@ impl CpuRenderer {
         CpuRenderer {
             scene,
             resident,
+            planes: Vec::new(),
             buffer,
             color,
             index,
@@ -150,7 +157,25 @@ impl CpuRenderer {
             sphere: None,
             rests: None,
             keeps: false,
+            casts_rays: false,
+            tree: None,
         }
+    }
+
+    /// Draws by one ray a pixel through a [`Tree`] from the next frame on, or by planes. The first such frame makes the tree.
+    pub fn set_raycast(&mut self, casts_rays: bool) {
+        self.casts_rays = casts_rays;
+    }
+
+    /// The tree that rays are cast through.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where it takes more than 2³² words.
+    pub fn tree(&mut self) -> Result<&Tree> {
+        if self.tree.is_none() {
+            self.tree = Some(Tree::new(&self.resident)?);
+        }
+        Ok(self.tree.as_ref().expect("it was made above"))
     }
 
     /// Gives a frame back that is done with: the next one takes its memory, already touched.
@@ -174,10 +199,13 @@ impl CpuRenderer {
         if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
+        if self.casts_rays {
+            self.tree()?;
+        }
         let mut frame = self.frame(camera, outputs);
         let start = Instant::now();
 
-        let setup = plane_setup(&self.resident, camera, options);
+        let setup = plane_setup_in(std::mem::take(&mut self.planes), &self.resident, camera, options);
         let setup_ms = milliseconds(start);
 
         let at = Instant::now();
@@ -185,11 +213,23 @@ impl CpuRenderer {
         let voxels = outputs.voxel || retest;
         let traverse = if options.f64_traversal { f64::traverse } else { f32::traverse };
         let specialization = Specialization::new(&self.resident, &setup, camera, options, Twin::Cpu);
-        let counters = traverse(&self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels);
+        let counters = match self.tree.as_ref().filter(|_| self.casts_rays) {
+            Some(tree) => {
+                let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
+                raycast::raycast(&self.resident, tree, &setup, camera, color, depth, voxel)
+            }
+            None => traverse(&self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels),
+        };
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();
-        let holes = self.remap(&setup, camera, options, retest, &mut frame);
+        let holes = match self.casts_rays {
+            true => {
+                frame.voxel.iter_mut().for_each(|v| *v = world_voxel(&setup, *v));
+                [0, 0]
+            }
+            false => self.remap(&setup, camera, options, retest, &mut frame),
+        };
         if options.smooth {
             self.smooth(&setup, camera, &mut frame);
         }
@@ -199,7 +239,8 @@ impl CpuRenderer {
         self.shade(camera, options, Some(&setup), &mut frame);
         let shade_ms = milliseconds(at);
 
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "planes");
+        let kernel = if self.casts_rays { "raycast" } else { "planes" };
+        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", kernel);
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels = self.resident.levels.len() as u32;
@@ -214,6 +255,7 @@ impl CpuRenderer {
             shade: shade_ms,
             total: milliseconds(start),
         });
+        self.planes = setup.planes;
         Ok(frame)
     }
 
@@ -288,6 +330,7 @@ impl CpuRenderer {
         let by_view = options.smooth || options.shadows || options.normals == Normals::Derived;
         if !self.keeps
             || by_view
+            || self.casts_rays
             || options.planes != Planes::Auto
             || options.samples != 1.0
             || options.remap == Remap::Nearest
@@ -337,7 +380,7 @@ impl CpuRenderer {
 
         let at = Instant::now();
         let doubts = if sphere.refines(options) { self.color.len() } else { 0 };
-        self.doubt.resize(doubts, refine::Doubt::NONE);
+        resize(&mut self.doubt, doubts, refine::Doubt::NONE);
         let mut pixels = remap::Pixels {
             color: &mut self.color,
             depth: &mut frame.depth,
@@ -488,15 +531,15 @@ impl CpuRenderer {
                 let n = camera.width as usize * camera.height as usize;
                 (spare.width, spare.height, spare.stats) = (camera.width, camera.height, Stats::default());
                 // What is there is drawn over, all of it; of voxels only those that are not sky.
-                spare.color.resize(n, [0; 4]);
-                spare.depth.resize(n, 0.0);
+                resize(&mut spare.color, n, [0; 4]);
+                resize(&mut spare.depth, n, 0.0);
                 spare.voxel.clear();
                 spare.voxel.resize(if outputs.voxel { n } else { 0 }, SKY);
                 spare
             }
             None => empty_frame(camera, outputs),
         };
-        self.color.resize(frame.depth.len(), 0);
+        resize(&mut self.color, frame.depth.len(), 0);
         frame
     }
 
@@ -514,7 +557,7 @@ impl CpuRenderer {
         let sparse = setup.is_sparse();
         if retest {
             let doubts = if setup.refines(camera, options) { self.color.len() } else { 0 };
-            self.doubt.resize(doubts, refine::Doubt::NONE);
+            resize(&mut self.doubt, doubts, refine::Doubt::NONE);
             let mut pixels = remap::Pixels {
                 color: &mut self.color,
                 depth: &mut frame.depth,
@@ -532,7 +575,7 @@ impl CpuRenderer {
             remap::remap(setup, &self.buffer, width, &mut self.color, &mut frame.depth);
             return [0, 0];
         }
-        self.index.resize(self.color.len(), 0);
+        resize(&mut self.index, self.color.len(), 0);
         remap::remap_index(setup, width, &mut self.index);
         let mut holes = [self.index.iter().filter(|&&i| i == remap::HOLE).count() as u64; 2];
         if options.gap_fill {
@@ -596,11 +639,14 @@ pub(crate) fn inside_solid(
 /// A frame without a picture yet.
 fn empty_frame(camera: &Camera, outputs: Outputs) -> Frame {
     let n = camera.width as usize * camera.height as usize;
+    let (mut color, mut depth) = (Vec::new(), Vec::new());
+    resize(&mut color, n, [0; 4]);
+    resize(&mut depth, n, 0.0);
     Frame {
         width: camera.width,
         height: camera.height,
-        color: vec![[0; 4]; n],
-        depth: vec![0.0; n],
+        color,
+        depth,
         voxel: vec![SKY; if outputs.voxel { n } else { 0 }],
         stats: Stats::default(),
     }

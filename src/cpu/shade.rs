@@ -7,6 +7,7 @@
 //! Mittring 2007, which needs no normals). Everything is f32 and a function of the pixel's neighbourhood alone.
 
 use crate::cpu::normal::Occupancy;
+use crate::cpu::resize;
 use crate::cpu::shadow::{Sunlight, bias, size_at_1};
 use crate::cpu::smooth::Normals;
 use crate::cpu::traverse::has_avx2;
@@ -174,7 +175,7 @@ impl Scratch {
         if split != self.split {
             self.split = split;
             self.depth.clear();
-            self.depth.resize((split.height + 2 * split.border) * row, f32::INFINITY);
+            resize(&mut self.depth, (split.height + 2 * split.border) * row, f32::INFINITY);
         }
         self.rays.resize(row, 0.0);
         for (phase, rays) in self.rays.chunks_exact_mut(split.lanes).enumerate() {

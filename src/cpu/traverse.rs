@@ -17,12 +17,14 @@
 
 mod ground;
 
+use crate::cpu::{chunks_mut, resize};
 use crate::frame::options::Culling;
 use crate::frame::plane_setup::{Plane, Setup};
 use crate::frame::specialize::{Feature, Features, Specialization};
 use crate::world::tables::{BLOCK_SHIFT, EMPTY, Paint, Resident, ResidentLevel, UNPAINTED, nearest_exposed};
 use planecast_encoder::Run;
 use rayon::prelude::*;
+use std::cell::RefCell;
 
 /// The number type of a walk: f32 as on the GPU, or f64.
 pub trait Real:
@@ -122,7 +124,12 @@ macro_rules! real {
                 buffer: &mut PlaneBuffer,
                 voxels: bool,
             ) -> Counters {
-                traverse_planes::<$t>(resident, setup, culling, specialization, buffer, voxels)
+                thread_local! {
+                    // From frame to frame.
+                    static SCRATCH: RefCell<Scratch<$t>> = RefCell::default();
+                }
+                let with = |walk: &mut dyn FnMut(&mut Scratch<$t>)| SCRATCH.with_borrow_mut(walk);
+                traverse_planes::<$t>(resident, setup, culling, specialization, buffer, voxels, with)
             }
         }
     };
@@ -188,58 +195,53 @@ fn traverse_planes<R: Real>(
     specialization: Specialization,
     buffer: &mut PlaneBuffer,
     voxels: bool,
+    with_scratch: impl Fn(&mut dyn FnMut(&mut Scratch<R>)) + Sync,
 ) -> Counters {
     let ground = specialization.has(Feature::Horizon) && culling == Culling::ALL && setup.equidistant >= EVERYWHERE;
     let colors = !(specialization.has(Feature::LateColor) && voxels && culling == Culling::ALL && !ground);
-    buffer.color.resize(if colors { setup.samples } else { 0 }, 0);
-    buffer.depth.resize(setup.samples, f32::INFINITY);
-    buffer.voxel.resize(if voxels { setup.samples } else { 0 }, SKY);
+    resize(&mut buffer.color, if colors { setup.samples } else { 0 }, 0);
+    resize(&mut buffer.depth, setup.samples, f32::INFINITY);
+    resize(&mut buffer.voxel, if voxels { setup.samples } else { 0 }, SKY);
 
-    struct Task<'a> {
-        planes: &'a [Plane],
-        /// As [`Setup::done`], of these planes.
-        done: &'a [bool],
-        color: &'a mut [u32],
-        depth: &'a mut [f32],
-        voxel: &'a mut [[i32; 4]],
-    }
-    let mut tasks = Vec::with_capacity(setup.planes.len() / PLANES_A_TASK + 4);
     let (mut color, mut depth, mut voxel) =
         (buffer.color.as_mut_slice(), buffer.depth.as_mut_slice(), buffer.voxel.as_mut_slice());
-    for fan in &setup.fans {
+    let [up, down, left, right] = setup.fans.each_ref().map(|fan| {
         let own = fan.first_plane as usize..(fan.first_plane + fan.n_planes) as usize;
-        let mut done = setup.done.get(own.clone()).unwrap_or_default().chunks(PLANES_A_TASK);
-        for planes in setup.planes[own].chunks(PLANES_A_TASK) {
-            let done = done.next().unwrap_or_default();
-            let n = planes.len() * fan.n_samples as usize;
-            let (c, d, v);
-            (c, color) = color.split_at_mut(if colors { n } else { 0 });
-            (d, depth) = depth.split_at_mut(n);
-            (v, voxel) = voxel.split_at_mut(if voxels { n } else { 0 });
-            if done.is_empty() || done.contains(&false) {
-                tasks.push(Task { planes, done, color: c, depth: d, voxel: v });
-            }
-        }
-    }
-    let tasks = tasks.into_par_iter().with_max_len(1);
+        // As [`Setup::done`], of this fan's planes.
+        let done = setup.done.get(own.clone()).unwrap_or_default();
+        let planes = &setup.planes[own];
+        let n = planes.len() * fan.n_samples as usize;
+        let (c, d, v);
+        (c, color) = std::mem::take(&mut color).split_at_mut(if colors { n } else { 0 });
+        (d, depth) = std::mem::take(&mut depth).split_at_mut(n);
+        (v, voxel) = std::mem::take(&mut voxel).split_at_mut(if voxels { n } else { 0 });
+        let (n, tasks) = (PLANES_A_TASK * fan.n_samples.max(1) as usize, planes.len().div_ceil(PLANES_A_TASK));
+        planes
+            .par_chunks(PLANES_A_TASK)
+            .zip(d.par_chunks_mut(n))
+            .zip(chunks_mut(c, n, tasks).zip(chunks_mut(v, n, tasks)))
+            .enumerate()
+            .map(move |(i, task)| (done.get(i * PLANES_A_TASK..).unwrap_or_default(), task))
+    });
+    let tasks = up.chain(down).chain(left.chain(right)).with_max_len(1);
     let avx2 = has_avx2();
-    let run = |task: Task<'_>| {
-        let n = task.depth.len() / task.planes.len();
+    type Task<'t> = (&'t [bool], ((&'t [Plane], &'t mut [f32]), (&'t mut [u32], &'t mut [[i32; 4]])));
+    let run = |(done, ((planes, depth), (color, voxel))): Task| {
+        let n = depth.len() / planes.len();
         let mut counters = Counters::default();
-        let sight = Sight { depth_t: Vec::new(), slope: Vec::new(), depth_h: Vec::new() };
-        let walk = WalkScratch { open: Vec::new(), skip: Vec::new(), sight };
-        let mut scratch = Scratch { walk, ground: ground::Scratch::default() };
-        for (k, plane) in task.planes.iter().enumerate() {
-            if task.done.get(k) == Some(&true) {
-                continue;
+        with_scratch(&mut |scratch| {
+            for (k, plane) in planes.iter().enumerate() {
+                if done.get(k) == Some(&true) {
+                    continue;
+                }
+                let at = k * n..(k + 1) * n;
+                let color = if colors { &mut color[at.clone()] } else { &mut [][..] };
+                let depth = &mut depth[at.clone()];
+                let voxel = if voxels { &mut voxel[at] } else { &mut [][..] };
+                let task = Task1 { resident, setup, plane, culling, ground, color, depth, voxel };
+                counters += walk_plane::<R>(task, scratch, avx2);
             }
-            let at = k * n..(k + 1) * n;
-            let color = if colors { &mut task.color[at.clone()] } else { &mut [][..] };
-            let depth = &mut task.depth[at.clone()];
-            let voxel = if voxels { &mut task.voxel[at] } else { &mut [][..] };
-            let task = Task1 { resident, setup, plane, culling, ground, color, depth, voxel };
-            counters += walk_plane::<R>(task, &mut scratch, avx2);
-        }
+        });
         counters
     };
     tasks.map(run).reduce(Counters::default, |mut a, b| {
@@ -265,10 +267,18 @@ fn ground_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
     if task.voxel.is_empty() { ground::walk::<R, false>(task, scratch) } else { ground::walk::<R, true>(task, scratch) }
 }
 
-/// Memory that a task's planes share one after the other.
+/// Memory that the planes of a thread take one after the other.
 struct Scratch<R> {
     walk: WalkScratch<R>,
     ground: ground::Scratch<R>,
+}
+
+impl<R> Default for Scratch<R> {
+    fn default() -> Self {
+        let sight = Sight { depth_t: Vec::new(), slope: Vec::new(), depth_h: Vec::new() };
+        let walk = WalkScratch { open: Vec::new(), skip: Vec::new(), sight };
+        Scratch { walk, ground: ground::Scratch::default() }
+    }
 }
 
 /// What [`Walk`] takes of it.

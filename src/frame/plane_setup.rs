@@ -154,6 +154,11 @@ pub const fn vertical(f: usize) -> bool {
 
 /// Planes and fans of one frame. The eye must be within [`EYE_LIMIT`] along axes that do not repeat.
 pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> Setup {
+    plane_setup_in(Vec::new(), resident, camera, options)
+}
+
+/// The same, in the memory of planes that are done with.
+pub(crate) fn plane_setup_in(mut planes: Vec<Plane>, resident: &Resident, camera: &Camera, options: &Options) -> Setup {
     let basis = camera.basis();
     let (w, h) = (f64::from(camera.width), f64::from(camera.height));
     let focal = camera.focal();
@@ -201,7 +206,8 @@ pub fn plane_setup(resident: &Resident, camera: &Camera, options: &Options) -> S
         share_planes(&mut fans, &widths, wanted, cast);
     }
 
-    let mut planes = Vec::with_capacity(fans.iter().map(|f| f.n_planes as usize).sum());
+    planes.clear();
+    planes.reserve(fans.iter().map(|f| f.n_planes as usize).sum());
     let world = World::new(resident, camera, options);
     let mut samples = 0;
     for (f, fan) in fans.iter_mut().enumerate() {

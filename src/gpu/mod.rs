@@ -24,6 +24,7 @@ use crate::frame::plane_setup::{Setup, plane_setup};
 use crate::frame::projection::Projection;
 use crate::frame::specialize::{Feature, Specialization, Twin};
 use crate::world::tables::Resident;
+use crate::world::tree::{Roots, Tree};
 pub use engine::Shader;
 use engine::{Engine, Pipeline};
 use planecast_encoder::Scene;
@@ -43,19 +44,27 @@ pub enum Kernel {
     /// One plane per workgroup: all lanes walk slices of the plane's ray at once.
     #[default]
     Workgroup,
-    /// One ray per pixel over the same tables and levels: the baseline.
+    /// One ray per pixel through a sparse tree of 64-bit masks ([`crate::tree`]), with the same levels: the baseline.
     Raycast,
+    /// One ray per pixel over the tables of planes.
+    RaycastRuns,
 }
 
 impl Kernel {
-    pub const ALL: [Kernel; 3] = [Kernel::Invocation, Kernel::Workgroup, Kernel::Raycast];
+    pub const ALL: [Kernel; 4] = [Kernel::Invocation, Kernel::Workgroup, Kernel::Raycast, Kernel::RaycastRuns];
 
     pub fn name(self) -> &'static str {
         match self {
             Kernel::Invocation => "invocation",
             Kernel::Workgroup => "workgroup",
             Kernel::Raycast => "raycast",
+            Kernel::RaycastRuns => "raycast-runs",
         }
+    }
+
+    /// Whether each pixel has a ray of its own, and there are no planes.
+    pub fn casts_rays(self) -> bool {
+        matches!(self, Kernel::Raycast | Kernel::RaycastRuns)
     }
 }
 
@@ -121,6 +130,8 @@ pub struct GpuRenderer {
     options: GpuOptions,
     engine: Engine,
     tables: GpuResident,
+    /// Bytes of the tree that rays are cast through; 0 before one is.
+    tree_bytes: u64,
     buffers: HashMap<&'static str, wgpu::Buffer>,
     /// Of pictures that are sent together.
     slots: Vec<HashMap<&'static str, wgpu::Buffer>>,
@@ -348,6 +359,7 @@ impl GpuRenderer {
             options,
             engine,
             tables,
+            tree_bytes: 0,
             buffers,
             slots: Vec::new(),
             queries,
@@ -618,7 +630,7 @@ impl GpuRenderer {
         let at_once = match self.options.kernel {
             // At least 32 lanes have a slice each, in which there are two columns.
             Kernel::Workgroup => 16,
-            Kernel::Invocation | Kernel::Raycast => 1,
+            Kernel::Invocation | Kernel::Raycast | Kernel::RaycastRuns => 1,
         };
         let allowed = at_once * if self.engine.software { MAX_STEPS_SOFTWARE } else { MAX_STEPS };
         if steps <= allowed {
@@ -663,7 +675,7 @@ impl GpuRenderer {
         frame.stats.device = self.engine.name.clone();
         frame.stats.cpu_ms = None;
         frame.stats.gpu_ms = Some(StageTimes::default());
-        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        frame.stats.bytes_scene_gpu = self.tables.bytes + self.tree_bytes;
         Some(Box::new(frame))
     }
 
@@ -675,7 +687,7 @@ impl GpuRenderer {
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels_drawn = setup.levels;
         frame.stats.left_out = plan.specialization.left_out();
-        frame.stats.bytes_scene_gpu = self.tables.bytes;
+        frame.stats.bytes_scene_gpu = self.tables.bytes + self.tree_bytes;
         frame
     }
 
@@ -706,6 +718,9 @@ impl GpuRenderer {
         }
         if plan.smooth {
             self.surface(&setup, &mut upload.frame)?;
+        }
+        if plan.kernel == Kernel::Raycast && self.tree_bytes == 0 {
+            self.plant()?;
         }
         self.upload(&upload, camera, options.ssao_samples);
 
@@ -755,6 +770,9 @@ const SOFTWARE_TURNS: u64 = 65_535;
 
 /// Columns of a walk that is sure to take more, and is not begun.
 const MAX_STEPS_SOFTWARE: u64 = 60_000;
+
+/// Runs have colours: see [`GpuResident::paint`].
+const PAINT_RUN: u32 = 1;
 
 /// What a walk that was cut short says it visited: `CUT_SHORT` in the shaders.
 const CUT_SHORT: u32 = u32::MAX;
@@ -820,7 +838,7 @@ impl Plan {
             plane_voxel: outputs.voxel || retest,
             image_voxel: outputs.voxel,
             retest,
-            refine: gpu.kernel != Kernel::Raycast && setup.refines(camera, options),
+            refine: !gpu.kernel.casts_rays() && setup.refines(camera, options),
             sparse,
             gap_fill: options.gap_fill,
             n_counters: 0,
@@ -857,7 +875,7 @@ impl Plan {
                 plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
-            Kernel::Raycast => {
+            Kernel::Raycast | Kernel::RaycastRuns => {
                 plan.lanes = 8;
                 plan.n_counters = groups(plan.width, 8) * groups(plan.height, 8);
             }
@@ -886,7 +904,7 @@ impl Plan {
     }
 
     fn gathers(&self) -> bool {
-        self.sparse && !self.retest && self.kernel != Kernel::Raycast
+        self.sparse && !self.retest && !self.kernel.casts_rays()
     }
 
     /// What is read back, with the picture or only the figures.
@@ -918,7 +936,7 @@ impl GpuRenderer {
     fn reserve(&mut self, plan: &Plan) -> Result<()> {
         use wgpu::BufferUsages as U;
         let pixels = plan.pixels();
-        let planes = if plan.kernel == Kernel::Raycast { 0 } else { plan.samples };
+        let planes = if plan.kernel.casts_rays() { 0 } else { plan.samples };
         let plane_voxel = if plan.plane_voxel { planes } else { 0 };
         let image_voxel = if plan.image_voxel { pixels } else { 0 };
         let index = if plan.gathers() { pixels } else { 0 };
@@ -1013,6 +1031,40 @@ impl GpuRenderer {
         Ok(())
     }
 
+    /// Makes the tree that rays are cast through and brings it to the device.
+    fn plant(&mut self) -> Result<()> {
+        let tree = Tree::new(&self.resident)?;
+        let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
+        if tree.bytes() > limit {
+            return Err(Error::Limit(format!(
+                "tree of {} MiB for kernel raycast: {} allows {} MiB (max_storage_buffer_binding_size); try --kernel raycast-runs",
+                tree.bytes() >> 20,
+                self.engine.name,
+                limit >> 20
+            )));
+        }
+        let mut roots = [Roots::default(); types::MAX_LEVELS];
+        roots[..tree.levels.len()].copy_from_slice(&tree.levels);
+        let sizes = [
+            ("tree", size_of_val(&tree.words[..]), wgpu::BufferUsages::STORAGE),
+            ("roots", size_of_val(&roots), wgpu::BufferUsages::UNIFORM),
+        ];
+        for (name, size, usage) in sizes {
+            let buffer = self.engine.checked(&format!("{name} of {} MiB", size.div_ceil(1 << 20)), || {
+                self.engine.buffer(name, size as u64, usage)
+            })?;
+            self.buffers.insert(name, buffer);
+        }
+        self.write("roots", bytemuck::cast_slice(&roots));
+        // What is on its way takes host memory too.
+        for (part, i) in tree.words.chunks(8 << 20).zip(0..) {
+            self.write_at("tree", i * (32 << 20), bytemuck::cast_slice(part));
+            self.engine.flush()?;
+        }
+        self.tree_bytes = tree.bytes();
+        Ok(())
+    }
+
     fn upload(&self, upload: &Upload, camera: &Camera, ssao_samples: u32) {
         self.write("frame", bytemuck::bytes_of(&upload.frame));
         self.write("planes", bytemuck::cast_slice(&upload.planes));
@@ -1093,7 +1145,7 @@ impl GpuRenderer {
     fn traverse(&mut self, recorder: &mut Recorder, plan: &Plan, options: &Options) -> Result<()> {
         let on = |b: bool| f64::from(u8::from(b));
         let culling = options.culling;
-        let voxel = if plan.kernel == Kernel::Raycast { plan.image_voxel } else { plan.plane_voxel };
+        let voxel = if plan.kernel.casts_rays() { plan.image_voxel } else { plan.plane_voxel };
         let mut constants = vec![
             ("PAINT", f64::from(self.tables.paint)),
             ("VOXEL", on(voxel)),
@@ -1134,7 +1186,13 @@ impl GpuRenderer {
                 let x = plan.n_planes.min(GROUPS_A_ROW);
                 ("traverse_workgroup", [x, groups(plan.n_planes, x.max(1))])
             }
-            Kernel::Raycast => ("raycast", [groups(plan.width, 8), groups(plan.height, 8)]),
+            Kernel::Raycast => {
+                if self.tables.paint == PAINT_RUN {
+                    defines.push("RUN_COLORS");
+                }
+                ("raycast", [groups(plan.width, 8), groups(plan.height, 8)])
+            }
+            Kernel::RaycastRuns => ("raycast_runs", [groups(plan.width, 8), groups(plan.height, 8)]),
         };
         let pipeline = self.engine.pipeline(name, &self.variant(&defines), &constants)?;
         self.record(recorder, "traverse", 0, |pass| self.dispatch(pass, &pipeline, &[], groups));
@@ -1145,7 +1203,7 @@ impl GpuRenderer {
         let grid = [groups(plan.width, 16), groups(plan.height, 16)];
         let voxel = ("VOXEL", f64::from(u8::from(plan.image_voxel)));
         let surface = self.smooth(plan)?;
-        if plan.kernel == Kernel::Raycast {
+        if plan.kernel.casts_rays() {
             self.record(recorder, "remap", 1, |pass| surface.iter().for_each(|s| self.dispatch(pass, s, &[], grid)));
             return Ok(());
         }

@@ -32,6 +32,7 @@ const FILES: &[(&str, &str)] = files![
     "traverse_invocation.wgsl",
     "traverse_workgroup.wgsl",
     "raycast.wgsl",
+    "raycast_runs.wgsl",
     "remap.wgsl",
     "refine.wgsl",
     "gap_fill.wgsl",
@@ -213,7 +214,7 @@ mod tests {
                         &["RETEST"],
                         &["RETEST", "REFINE"],
                         &["RETEST", "REFINE", "PACKED", "LATE_COLOR"],
-                        &["INDEX"],
+                        &["INDEX", "RUN_COLORS"],
                         &["SCENE", "SHADOWS"],
                         &["SCENE", "DERIVED_NORMALS"],
                         &["SCENE", "SHADOWS", "SMOOTH_NORMALS"],
@@ -228,8 +229,17 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 8] =
-        ["traverse_invocation", "traverse_workgroup", "raycast", "remap", "refine", "gap_fill", "shade", "smooth"];
+    const STAGES: [&str; 9] = [
+        "traverse_invocation",
+        "traverse_workgroup",
+        "raycast",
+        "raycast_runs",
+        "remap",
+        "refine",
+        "gap_fill",
+        "shade",
+        "smooth",
+    ];
 
     #[test]
     fn shaders_are_valid_in_every_variant() {
@@ -262,7 +272,7 @@ mod tests {
             bindings(&assemble("shade", &variants()[0])).unwrap().into_iter().map(|b| b.1).collect();
         assert_eq!(names, ["frame", "image_color", "image_depth", "shaded", "spiral"]);
         let paged = variants().into_iter().find(|v| v.pages[0].n == 3).unwrap();
-        let pages = bindings(&assemble("raycast", &paged)).unwrap();
+        let pages = bindings(&assemble("raycast_runs", &paged)).unwrap();
         assert_eq!(pages.iter().filter(|(_, name)| name.starts_with("columns_")).count(), 3);
     }
 

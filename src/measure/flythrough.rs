@@ -167,7 +167,7 @@ pub fn flythrough(
         let mut work = [0.0; 3];
         let mut bytes_scene_gpu = 0;
         let mut warm_up =
-            GpuRenderer::new(scene, resident, GpuOptions { kernel: Kernel::Raycast, ..GpuOptions::default() })?;
+            GpuRenderer::new(scene, resident, GpuOptions { kernel: Kernel::RaycastRuns, ..GpuOptions::default() })?;
         let start = Instant::now();
         for camera in poses.iter().cycle().take_while(|_| start.elapsed() < WARM_UP) {
             warm_up.render(camera, options, Outputs::default())?;

@@ -78,18 +78,24 @@ impl Renderer {
         kernel: Option<&str>,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Renderer> {
-        let cpu = || CpuRenderer::new(scene, resident);
-        let only = |name: &str| match kernel {
-            Some(k) if k != name => Err(Error::Argument(format!("kernel {k}: this device has only {name}"))),
+        let cpu = || {
+            let mut cpu = CpuRenderer::new(scene, resident);
+            cpu.set_raycast(kernel == Some("raycast"));
+            cpu
+        };
+        let only = |names: &[&str]| match kernel {
+            Some(k) if !names.contains(&k) => {
+                Err(Error::Argument(format!("kernel {k}: this device has only {}", names.join(", "))))
+            }
             _ => Ok(()),
         };
         let backend = match device {
             Device::Exact => {
-                only("exact")?;
+                only(&["exact"])?;
                 Backend::Exact(cpu())
             }
             Device::Cpu => {
-                only("planes")?;
+                only(&["planes", "raycast"])?;
                 Backend::Planes(cpu())
             }
             Device::Auto if kernel == Some("planes") => Backend::Planes(cpu()),

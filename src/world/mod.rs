@@ -2,6 +2,7 @@
 //! share it.
 
 pub mod tables;
+pub mod tree;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -296,11 +296,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], in_file: bool, opts: &ReadOptions)
 pub(super) type Put<'a> = dyn Fn(u32, u32, u32, &[u8]) -> Result<()> + 'a;
 
 /// A picture in colours, strip by strip or tile by tile; where it lies, and its size.
-pub(super) fn colors(
-    path: &Path,
-    bytes: &[u8],
-    put: &Put,
-) -> Result<(Option<Place>, [u32; 2])> {
+pub(super) fn colors(path: &Path, bytes: &[u8], put: &Put) -> Result<(Option<Place>, [u32; 2])> {
     let tiff = Tiff::open(path, bytes, true)?;
     let (page, _) = pages(&tiff)?;
     let image = tiff.image(page)?;

@@ -17,6 +17,10 @@ pub enum Engine {
     Cpu {
         threads: usize,
     },
+    /// One f32 ray a pixel through a tree of masks, on the CPU.
+    Rays {
+        threads: usize,
+    },
     /// One f64 ray a pixel at level 0, on the CPU.
     Exact {
         threads: usize,
@@ -30,6 +34,7 @@ impl Engine {
         let threads = |n: usize| if n == 1 { "1 thread".into() } else { format!("{n} threads") };
         match self {
             Engine::Cpu { threads: n } => format!("CPU, {}", threads(n)),
+            Engine::Rays { threads: n } => format!("CPU, rays, {}", threads(n)),
             Engine::Exact { threads: n } => format!("exact rays, CPU, {}", threads(n)),
             #[cfg(feature = "gpu")]
             Engine::Gpu(kernel) => format!("GPU, {}", kernel.name()),
@@ -38,7 +43,7 @@ impl Engine {
 
     fn threads(self) -> Option<usize> {
         match self {
-            Engine::Cpu { threads } | Engine::Exact { threads } => Some(threads),
+            Engine::Cpu { threads } | Engine::Rays { threads } | Engine::Exact { threads } => Some(threads),
             #[cfg(feature = "gpu")]
             Engine::Gpu(_) => None,
         }
@@ -139,8 +144,9 @@ struct Drawers<'a> {
 impl Drawers<'_> {
     fn draw(&mut self, pools: &mut Pools, engine: Engine, camera: &Camera, options: &Options) -> Result<Stats> {
         let frame = match engine {
-            Engine::Cpu { threads } => {
+            Engine::Cpu { threads } | Engine::Rays { threads } => {
                 let cpu = &mut self.cpu;
+                cpu.set_raycast(matches!(engine, Engine::Rays { .. }));
                 pools.get(threads)?.install(|| cpu.render(camera, options, Outputs::default()))
             }
             Engine::Exact { threads } => {
@@ -274,6 +280,7 @@ fn row(scenes: &Scenes, loaded: &Loaded, config: &Config, samples: Samples) -> R
         device: samples.device,
         kernel: match config.engine {
             Engine::Cpu { .. } => "planes".into(),
+            Engine::Rays { .. } => "raycast".into(),
             Engine::Exact { .. } => "exact".into(),
             #[cfg(feature = "gpu")]
             Engine::Gpu(kernel) => kernel.name().into(),

@@ -94,7 +94,9 @@ pub fn run(settings: &Settings, tell: &mut dyn FnMut(&str)) -> Result<()> {
 
     let scenes = Scenes { folder: settings.output.join("scenes"), files: settings.files.clone() };
     let rounds = |engine| match engine {
-        measure::Engine::Cpu { .. } | measure::Engine::Exact { .. } => settings.extent.cpu,
+        measure::Engine::Cpu { .. } | measure::Engine::Rays { .. } | measure::Engine::Exact { .. } => {
+            settings.extent.cpu
+        }
         #[cfg(feature = "gpu")]
         measure::Engine::Gpu(_) => settings.extent.gpu,
     };

@@ -130,6 +130,13 @@ impl Machine {
         None
     }
 
+    pub fn gpu_raycast_runs(&self) -> Option<Engine> {
+        #[cfg(feature = "gpu")]
+        return self.gpu.then_some(Engine::Gpu(crate::Kernel::RaycastRuns));
+        #[cfg(not(feature = "gpu"))]
+        None
+    }
+
     fn every(&self) -> Vec<Engine> {
         let gpu = [self.gpu_paper(), self.gpu_workgroup(), self.gpu_raycast()];
         [self.one(), self.all()].into_iter().chain(gpu.into_iter().flatten()).collect()
@@ -341,7 +348,8 @@ impl Plan<'_> {
             (self.machine.gpu_paper(), papers, "the papers' culling"),
             (self.machine.gpu_paper(), Culling::ALL, "all culling"),
             (self.machine.gpu_workgroup(), Culling::ALL, "all culling"),
-            (self.machine.gpu_raycast(), Culling::ALL, "a ray a pixel"),
+            (self.machine.gpu_raycast(), Culling::ALL, "a ray a pixel, tree of masks"),
+            (self.machine.gpu_raycast_runs(), Culling::ALL, "a ray a pixel, run lists"),
         ];
         let cpu = [
             (Some(one), basic, "basic"),
@@ -349,6 +357,8 @@ impl Plan<'_> {
             (Some(one), Culling::ALL, "all culling"),
             (Some(all), basic, "basic"),
             (Some(all), Culling::ALL, "all culling"),
+            (Some(Engine::Rays { threads: 1 }), Culling::ALL, "a ray a pixel, tree of masks"),
+            (Some(Engine::Rays { threads: self.machine.threads }), Culling::ALL, "a ray a pixel, tree of masks"),
         ];
         let mut groups = Vec::new();
         for (scene, view) in [(shapes, View::Near), (shapes, View::Far), (landscape, View::Pitches)] {

@@ -609,7 +609,7 @@ impl Results<'_> {
         page.paragraph(
             "basic culls with the floating horizon alone; the papers' culling adds forward, center and bits; all culling adds coarse \
              cells. invocation is the paper's mapping, a plane an invocation; workgroup gives a plane to a workgroup; raycast casts \
-             a ray a pixel through the same columns and levels. exact rays are one f64 ray a pixel at level 0.",
+             a ray a pixel through a sparse tree of 64-bit masks with the same levels, raycast-runs through the columns of planes. exact rays are one f64 ray a pixel at level 0.",
         );
         let mut table = Table {
             head: head(&["scene and view", "drawn by", "", "ms", "× one thread, basic", "× all threads"]),

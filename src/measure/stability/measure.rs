@@ -60,6 +60,14 @@ impl<'a> Drawer<'a> {
         planes
     }
 
+    /// One f32 ray a pixel through a tree of masks, on the CPU.
+    pub fn rays(world: &'a World) -> Drawer<'a> {
+        let mut renderer = CpuRenderer::new(&world.scene, &world.resident);
+        renderer.set_raycast(true);
+        let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
+        Drawer { device: "cpu".into(), kernel: "raycast".into(), exact: false, draw: Box::new(draw) }
+    }
+
     /// A kernel of the GPU, with wgpu's runtime checks or without.
     #[cfg(feature = "gpu")]
     pub fn gpu(world: &'a World, kernel: crate::Kernel, trusted: bool) -> Result<Drawer<'a>> {
@@ -234,7 +242,7 @@ pub fn measure(case: &Case, world: &World, truth: &Truth, drawer: &mut Drawer<'_
         }
         // Rays are as many as pixels; planes as the setup says.
         let all = match frame.stats.kernel.as_str() {
-            "raycast" => row.bound_steps * row.pixels as u64,
+            "raycast" | "raycast-runs" => row.bound_steps * row.pixels as u64,
             // Two columns a slice of the plane's longer axis, looked at before it is known whether nearer ones hide them.
             "workgroup" => 2 * setup.planes.iter().map(|p| setup.step_bound(p)).sum::<u64>(),
             _ => setup.planes.iter().map(|p| setup.step_bound(p)).sum(),

@@ -63,7 +63,7 @@ pub fn run(device: Device, tell: &mut dyn FnMut(&str)) -> Result<Vec<Row>> {
 fn drawers(world: &World, device: Device) -> Result<Vec<Drawer<'_>>> {
     let mut drawers = Vec::new();
     if matches!(device, Device::Cpu | Device::Auto) {
-        drawers.extend([Drawer::cpu(world), Drawer::cpu_f64(world)]);
+        drawers.extend([Drawer::cpu(world), Drawer::cpu_f64(world), Drawer::rays(world)]);
     }
     if matches!(device, Device::Exact | Device::Auto) {
         drawers.push(Drawer::exact(world));
