@@ -710,7 +710,7 @@ fn render_draws_projections_and_refuses_what_they_are_not() {
         ("--projection fisheye --fov 0", "above 0"),
     ] {
         let (code, text) = fails(dir.path(), &format!("render hills.pcast -o p.png {flags}"));
-        assert!(code == 1 && text.contains(what), "{flags}: {text}");
+        assert!(code == 2 && text.contains(what), "{flags}: {text}");
     }
     assert_eq!(planecast(dir.path(), "render hills.pcast -o p.png --projection lidar:4").status.code(), Some(2));
     assert!(fails(dir.path(), "render hills.pcast -o p.ply").1.contains("cannot write .ply"));
@@ -769,7 +769,7 @@ fn viewsheds_are_written_as_the_name_says() {
     let grey = image::open(dir.path().join("v.png")).unwrap().into_luma8();
     assert!(grey.iter().zip(&counts).all(|(g, c)| *g == [0, 128, 255][usize::from(*c)]));
     let (code, text) = fails(dir.path(), "viewshed hills.pcast --eye 1,50,1 -o v.csv");
-    assert!(code == 1 && text.contains(".tif"), "{text}");
+    assert!(code == 2 && text.contains(".tif"), "{text}");
     assert_eq!(planecast(dir.path(), "viewshed hills.pcast -o v.npy").status.code(), Some(2));
 }
 

@@ -143,10 +143,10 @@ pub struct RenderArgs {
     annotate: bool,
     /// Also write the depth of every pixel (NPY, f4, H x W); with --cameras a folder [default there: that of -o], 000000.depth.npy and
     /// on
-    #[arg(long, value_name = "D.npy|DIR", num_args = 0..=1, default_missing_value = "")]
+    #[arg(long, value_name = "D.npy|DIR", num_args = 0..=1, default_missing_value = "-")]
     depth: Option<PathBuf>,
     /// Also write the voxel of every pixel (NPY, i4, H x W x 4: x, y, z, level); with --cameras as --depth, 000000.voxel.npy
-    #[arg(long, value_name = "V.npy|DIR", num_args = 0..=1, default_missing_value = "")]
+    #[arg(long, value_name = "V.npy|DIR", num_args = 0..=1, default_missing_value = "-")]
     voxel: Option<PathBuf>,
     /// Also write what the frame cost (JSON)
     #[arg(long, value_name = "S.json")]
@@ -921,7 +921,7 @@ impl RenderArgs {
         let picture = if scan.is_some() { Picture::Png } else { Picture::of(&self.output)? };
         self.draw.check_sky(picture == Picture::Png, &self.output)?;
         for (flag, file) in [("--depth", &self.depth), ("--voxel", &self.voxel)] {
-            if file.as_ref().is_some_and(|file| file.as_os_str().is_empty()) {
+            if file.as_ref().is_some_and(|file| file.as_os_str() == output::STDOUT) {
                 return Err(Error::Argument(format!("{flag}: name the .npy file to write")));
             }
         }
@@ -1022,7 +1022,7 @@ impl RenderArgs {
             }
         }
         let folder = |given: &Option<PathBuf>| {
-            given.as_ref().map(|dir| if dir.as_os_str().is_empty() { self.output.clone() } else { dir.clone() })
+            given.as_ref().map(|dir| if dir.as_os_str() == output::STDOUT { self.output.clone() } else { dir.clone() })
         };
         let (depth, voxel) = (folder(&self.depth), folder(&self.voxel));
         for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
@@ -1650,8 +1650,8 @@ mod tests {
         for (flags, what) in [
             ("--pitch 90.1", "expected -90 to 90 degrees"),
             ("--pitch nan", "expected a finite number"),
-            ("--fov 0", "expected above 0 and below 180 degrees"),
-            ("--fov 180", "expected above 0 and below 180 degrees"),
+            ("--fov=-1", "expected 0 to 360 degrees"),
+            ("--fov 361", "expected 0 to 360 degrees"),
             ("--eye 1,2", "expected three numbers"),
             ("--eye 1,2,inf", "expected three numbers"),
             ("--size 0x5", "each 1 to 16384"),
