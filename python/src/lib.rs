@@ -7,16 +7,15 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use glam::DVec3;
-use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use planecast::cli::words;
 use planecast::film::fly::{self, Film, Kind};
-use planecast::{Camera, Device, Error, Frame, Options, Outputs, Renderer};
+use planecast::{Camera, Device, Error, Frame, Outputs, Renderer};
 use planecast_encoder::Error as FileError;
 use planecast_encoder::encode::{self, Watch};
 use planecast_encoder::inspect::info;
 use planecast_encoder::model::pieces::{Pieces, named};
 use planecast_encoder::source::{self, ArrayView};
-use pyo3::buffer::PyBuffer;
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -307,7 +306,6 @@ fn encoded(
     let world = match output {
         None => planecast::World::from_pieces(pieces, &options, name, watch)?,
         Some(output) => {
-            planecast_encoder::format::write::check_target(output)?;
             encode::encode(pieces, &options, output, watch)?;
             planecast::World::open(output)?
         }
@@ -331,19 +329,15 @@ fn encode_path(py: Python<'_>, path: PathBuf, words: Vec<String>, output: Option
 #[pyfunction]
 fn encode_array(
     py: Python<'_>,
-    bytes: PyBuffer<u8>,
+    bytes: PyReadonlyArray1<'_, u8>,
     shape: Vec<u64>,
     dtype: &str,
     fortran: bool,
     words: Vec<String>,
     output: Option<PathBuf>,
 ) -> PyResult<World> {
-    if !bytes.is_c_contiguous() {
-        return Err(PyValueError::new_err("the array's bytes do not lie side by side; numpy.ascontiguousarray makes them"));
-    }
-    // SAFETY: the buffer keeps the array alive while it is read. Who writes to it meanwhile makes a world of some old and
-    // some new values; every value of every type that is read is valid.
-    let values = unsafe { std::slice::from_raw_parts(bytes.buf_ptr().cast::<u8>(), bytes.len_bytes()) };
+    // The array stays alive while it is read. Who writes to it meanwhile makes a world of some old and some new values.
+    let values = bytes.as_slice()?;
     let watch = Watch::default();
     let name = Path::new("array");
     let world = work(py, &watch.stop, || {

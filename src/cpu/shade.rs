@@ -610,7 +610,7 @@ pub(crate) fn screen_normals(camera: &Camera, options: &Options, depth: &[f32]) 
             for phase in 0..PHASES as i32 {
                 let x = first + phase;
                 let n = Block { p: &p, lighting: &lighting, scratch: &scratch, x, y }.normal();
-                for lane in (0..LANES).filter(|&lane| x + (PHASES * lane) as i32 <= p.width - 1) {
+                for lane in (0..LANES).filter(|&lane| x + ((PHASES * lane) as i32) < p.width) {
                     let at = (y * p.width + x) as usize + PHASES * lane;
                     out[at] = Vec3::new(n[0][lane], n[1][lane], n[2][lane]);
                 }

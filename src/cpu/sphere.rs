@@ -287,11 +287,11 @@ fn azimuth(x: f32, y: f32) -> f32 {
     // Minimax of the arc tangent on 0 to 1.
     let p = 0.007_825_483;
     let p = -0.036_898_629 + s * p;
-    let p = 0.083_741_557 + s * p;
-    let p = -0.134_804_056 + s * p;
-    let p = 0.198_798_722 + s * p;
-    let p = -0.333_263_745 + s * p;
-    let p = 0.999_999_328 + s * p;
+    let p = 0.083_741_56 + s * p;
+    let p = -0.134_804_06 + s * p;
+    let p = 0.198_798_72 + s * p;
+    let p = -0.333_263_75 + s * p;
+    let p = 0.999_999_3 + s * p;
     let angle = q * p;
     let angle = if ax > ay { FRAC_PI_2 - angle } else { angle };
     let angle = if y < 0.0 { PI - angle } else { angle };

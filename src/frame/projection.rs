@@ -161,7 +161,7 @@ enum Kind {
         rows: Vec<[f64; 2]>,
     },
     Cube {
-        faces: [Basis; 6],
+        faces: Box<[Basis; 6]>,
     },
     Fisheye {
         /// Radians a pixel, and at the rim.
@@ -215,7 +215,7 @@ impl Rays {
                 let rows = (0..h).map(|y| elevation(y, channels, camera.fov));
                 Kind::Angles { columns: turn(w), rows: rows.map(pair).collect() }
             }
-            Projection::Cube => Kind::Cube { faces: faces(&basis) },
+            Projection::Cube => Kind::Cube { faces: Box::new(faces(&basis)) },
             Projection::Fisheye => {
                 let fov = camera.fov.to_radians();
                 Kind::Fisheye { step: fov / f64::from(w.min(h)), rim: fov / 2.0 }

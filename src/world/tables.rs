@@ -514,11 +514,10 @@ mod tests {
                         }
                         ColorMode::Voxel => {
                             let (exposed, first) = shown.as_ref().unwrap();
-                            let mut at = first[ix] as usize;
-                            for y in exposed.column(x, z).iter().flat_map(|r| u32::from(r.first())..r.end()) {
+                            let shown = exposed.column(x, z).iter().flat_map(|r| u32::from(r.first())..r.end());
+                            for (at, y) in (first[ix] as usize..).zip(shown) {
                                 let inside = (u32::from(run.first())..run.end()).contains(&y);
                                 assert!(!inside || color(y) == pack_rgb(level.colors[at]), "column {ix} voxel {y}");
-                                at += 1;
                             }
                         }
                     }

@@ -241,7 +241,8 @@ mod tests {
     /// Every cell is as the columns have it, and every empty cube is empty as far as the world reaches.
     #[test]
     fn trees_hold_the_voxels_of_the_columns() {
-        let worlds: [(_, fn(u32, u32, u32) -> bool); 3] = [
+        type Solid = fn(u32, u32, u32) -> bool;
+        let worlds: [(_, Solid); 3] = [
             ([300, 40, 9], |x, y, z| y < 7 + x / 64 || noise(x / 3, y / 2, z).is_multiple_of(9)),
             ([7, 700, 5], |x, y, z| (y / 80) % 2 == 0 || noise(x, y, z).is_multiple_of(50)),
             ([64, 64, 64], |_, y, _| y < 48),

@@ -365,7 +365,7 @@ fn surfaces_of_heights_are_those_of_the_cpu() {
     for fractions in [false, true] {
         if fractions {
             let n = 128 * 128;
-            let fractions: Vec<u8> = (0..n).map(|i| common::hash(9, [i as i32, 0, 0]) as u8).collect();
+            let fractions: Vec<u8> = (0..n).map(|i| common::hash(9, [i, 0, 0]) as u8).collect();
             world.resident = Arc::new(Resident::new(&world.scene).with_fractions(&fractions));
         }
         for (repeat, shadows) in [(false, false), (true, true)] {
