@@ -103,6 +103,10 @@ fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
         return paint(levels[l].colors + paint(levels[l].paint + ix) + k);
     }
     if (PAINT == PAINT_VOXEL) {
+        if (levels[l].exposed == NONE) {
+            // All voxels of a column have its colour.
+            return paint(levels[l].colors + ix);
+        }
         let start = paint(levels[l].paint + ix);
         let to = paint(levels[l].paint + ix + 1u);
         if (start == to) {

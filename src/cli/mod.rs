@@ -1677,7 +1677,7 @@ mod tests {
         }
         assert_eq!(parse("planecast").unwrap_err(), "a command is missing; planecast --help lists them");
         assert!(parse("planecast fly s -o d --path p.json --tour").unwrap_err().contains("cannot be used with"));
-        assert!(parse("planecast render s.pcast").unwrap_err().ends_with("not provided: --output <OUT.png|->"));
+        assert!(parse("planecast render s.pcast").unwrap_err().ends_with("not provided: --output <OUT.png|-|DIR>"));
     }
 
     #[test]

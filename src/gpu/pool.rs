@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::gpu::engine::Engine;
 use crate::gpu::shaders::{Pages, TABLES};
-use crate::gpu::types::{Level, MAX_LEVELS};
+use crate::gpu::types::{Level, MAX_LEVELS, NONE};
 use crate::world::tables::{BLOCK_SHIFT, Paint, Resident, Table as Columns};
 
 /// Bindings that one table may be cut into.
@@ -138,6 +138,7 @@ fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>
         table.parts.push(part);
         Ok(at)
     };
+    let mixed = resident.levels.iter().any(|level| matches!(level.paint, Paint::Voxel { .. }));
     let mut paint = 0;
     for (out, level) in levels.iter_mut().zip(&resident.levels) {
         let [columns, runs, paints] = &mut tables;
@@ -170,7 +171,8 @@ fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
             Paint::Column { colors } => {
-                paint = 3;
+                // Among levels with a colour per voxel, one that needs none says so by where its exposed runs are.
+                (paint, out.exposed) = if mixed { (2, NONE) } else { (3, 0) };
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
         }
