@@ -69,7 +69,8 @@ impl Tree {
             // A few at a time: each has two megabytes of leaves while it is made.
             let some = 2 * rayon::current_num_threads();
             for (i, some) in numbers.chunks(some).enumerate().map(|(i, n)| (i * some, n)) {
-                let parts: Vec<Part> = some.par_iter().map(|&at| Part::new(level, at)).collect();
+                let parts: Vec<Part> =
+                    some.par_iter().map_init(Leaves::new, |leaves, &at| Part::new(level, at, leaves)).collect();
                 for (part, i) in parts.into_iter().zip(i..) {
                     let start = tree.words.len();
                     if (start + part.words.len()) as u64 >= u64::from(SOLID) {
@@ -95,9 +96,38 @@ impl Tree {
     }
 }
 
+/// The leaves of one root while it is made.
+struct Leaves {
+    /// Leaves in columns of y, those in rows of x, those in z.
+    masks: Vec<u64>,
+    /// Of each 4 × 4 × 4 leaves, in the same order, whether one of them is not empty.
+    some: Vec<bool>,
+}
+
+impl Leaves {
+    fn new() -> Leaves {
+        Leaves { masks: vec![0; SIDE * SIDE * SIDE], some: vec![false; (SIDE / 4).pow(3)] }
+    }
+
+    fn block([x, y, z]: [usize; 3]) -> usize {
+        (z / 4 * (SIDE / 4) + x / 4) * (SIDE / 4) + y / 4
+    }
+
+    /// Only what was set costs time.
+    fn clear(&mut self) {
+        let n = SIDE / 4;
+        for (block, some) in self.some.iter_mut().enumerate().filter(|(_, some)| **some) {
+            *some = false;
+            let [x, y, z] = [block / n % n, block % n, block / n / n].map(|v| 4 * v);
+            for (z, x) in (z..z + 4).flat_map(|z| (x..x + 4).map(move |x| (z, x))) {
+                self.masks[(z * SIDE + x) * SIDE + y..][..4].fill(0);
+            }
+        }
+    }
+}
+
 impl Part {
-    fn new(level: &ResidentLevel, [x, y, z]: [u32; 3]) -> Part {
-        let mut leaves = vec![0u64; SIDE * SIDE * SIDE];
+    fn new(level: &ResidentLevel, [x, y, z]: [u32; 3], leaves: &mut Leaves) -> Part {
         let corner = [x, y, z].map(|n| n << ROOT_SHIFT);
         let end = |from: u32, n: u32| n.min(from + (1 << ROOT_SHIFT));
         let mut empty = true;
@@ -117,25 +147,30 @@ impl Part {
                     for leaf in from / 4..to.div_ceil(4) {
                         let (low, high) = (from.max(4 * leaf) - 4 * leaf, to.min(4 * leaf + 4) - 4 * leaf);
                         let bits = (0x1_0001_0001_0001u64 << (16 * low)) & (u64::MAX >> (16 * (4 - high)));
-                        leaves[column + leaf as usize] |= bits << bit;
+                        leaves.masks[column + leaf as usize] |= bits << bit;
+                        leaves.some[Leaves::block([dx as usize / 4, leaf as usize, dz as usize / 4])] = true;
                     }
                 }
             }
         }
         let mut part = Part { root: [0; 3], words: Vec::new(), positions: Vec::new() };
         if !empty {
-            part.root = part.node(&leaves, [0; 3], SIDE);
+            part.root = part.node(leaves, [0; 3], SIDE);
+            leaves.clear();
         }
         part
     }
 
     /// The node of the leaves from `[x, y, z]` on, `side` of them a side, after all that is below it.
-    fn node(&mut self, leaves: &[u64], [x, y, z]: [usize; 3], side: usize) -> [u32; 3] {
+    fn node(&mut self, leaves: &Leaves, [x, y, z]: [usize; 3], side: usize) -> [u32; 3] {
         let step = side / 4;
-        let children = (0..64).map(|bit| [x + bit % 4 * step, y + bit / 16 * step, z + bit / 4 % 4 * step]);
+        let child = |bit: usize| [x + bit % 4 * step, y + bit / 16 * step, z + bit / 4 % 4 * step];
         if step == 1 {
-            let leaf = |[x, y, z]: [usize; 3]| leaves[(z * SIDE + x) * SIDE + y];
-            let masks: Vec<u64> = children.map(leaf).collect();
+            if !leaves.some[Leaves::block([x, y, z])] {
+                return [0; 3];
+            }
+            let leaf = |[x, y, z]: [usize; 3]| leaves.masks[(z * SIDE + x) * SIDE + y];
+            let masks: [u64; 64] = std::array::from_fn(|bit| leaf(child(bit)));
             let own = (0..64).filter(|&bit| masks[bit] != 0).fold(0u64, |own, bit| own | 1 << bit);
             if masks.iter().all(|&mask| mask == u64::MAX) {
                 return [u32::MAX, u32::MAX, SOLID];
@@ -145,7 +180,7 @@ impl Part {
             let [low, high] = halves(own);
             return [low, high, at];
         }
-        let nodes: Vec<[u32; 3]> = children.map(|at| self.node(leaves, at, step)).collect();
+        let nodes: [[u32; 3]; 64] = std::array::from_fn(|bit| self.node(leaves, child(bit), step));
         if nodes.iter().all(|node| node[2] == SOLID) {
             return [u32::MAX, u32::MAX, SOLID];
         }
