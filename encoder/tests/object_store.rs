@@ -181,10 +181,14 @@ fn object_store_parts_are_made_and_joined_to_the_bytes_of_local_files() {
             true => vec!["--iso", "90", "--up", up],
             false => vec!["--dims", &dims, "--iso", "90", "--up", up],
         };
-        ok(dir, port, &[&["encode", "v.raw", "-o", "local.pcast"], &how("raw")[..]].concat());
-        let expected = std::fs::read(dir.join("local.pcast")).unwrap();
+        // A scene says what it was made of: each input has its own.
+        let expected = ["v.raw", "store/v.npy"].map(|local| {
+            ok(dir, port, &[&["encode", local, "-o", "local.pcast"], &how(local)[..]].concat());
+            std::fs::read(dir.join("local.pcast")).unwrap()
+        });
 
-        for (input, store) in [("s3://b/in/v.raw", "s3://b/out"), ("s3://b/in/v.npy", &file_url)] {
+        let inputs = [("s3://b/in/v.raw", "s3://b/out"), ("s3://b/in/v.npy", &file_url)];
+        for ((input, store), expected) in inputs.into_iter().zip(&expected) {
             bucket.lock().unwrap().log.clear();
             let parts = format!("{store}/scene.parts/");
             for (i, tiles) in ["0..1".to_owned(), format!("1..{n_tiles}")].iter().enumerate() {
@@ -205,7 +209,7 @@ fn object_store_parts_are_made_and_joined_to_the_bytes_of_local_files() {
                 true => bucket.lock().unwrap().objects["out/scene.pcast"].clone(),
                 false => std::fs::read(dir.join("store/scene.pcast")).unwrap(),
             };
-            assert!(found == expected, "{input} --up {up}");
+            assert!(found == *expected, "{input} --up {up}");
         }
     }
     assert_eq!(left_over(dir), [""; 0]);

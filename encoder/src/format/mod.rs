@@ -211,7 +211,7 @@
 //!     let bit = start(column) / 2 + i;
 //!     y < base + runs[i].0 + runs[i + 1].1 - runs[i].1 || surface && file[fill + bit / 8] >> (bit % 8) & 1 == 1
 //! }
-//! # use planecast_encoder::{BuildOptions, Colors, Columns, Encoding, Features, Input, build, write::write_scene_with};
+//! # use planecast_encoder::{BuildOptions, Colors, Columns, Encoding, Features, Input, build, format::write::write_scene_with};
 //! # let caves = |x: u32, y: u32, z: u32| y <= 20 + x % 7 || y > 31 && (x ^ y ^ z) % 5 == 0;
 //! # let hills = |x: u32, y: u32, z: u32| y < 10 + x * z % 29 && !(x > 255 && x + z > 265);
 //! # let flat = |x: u32, y: u32, _: u32| y < 30 || x < 256 && y >= 280;
