@@ -65,10 +65,15 @@ fn run(drawers: impl Fn(&World) -> Vec<Drawer<'_>>) -> (Vec<Row>, Vec<String>) {
 
 #[test]
 fn every_case_keeps_its_bounds_on_the_cpu() {
-    let (_, faults) =
-        run(|world| vec![Drawer::cpu(world), Drawer::cpu_f64(world), Drawer::rays(world), Drawer::exact(world)]);
+    let (_, faults) = run(|world| vec![Drawer::cpu(world), Drawer::cpu_f64(world), Drawer::exact(world)]);
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
 }
+
+/// Kernel `raycast`, the baseline through a tree of masks, is left out of the catalogue: its bounds there are not known yet, and
+/// a tree of its largest worlds takes long to make. It is compared with `exact` in `tests/gpu` and in `cpu::raycast`.
+#[cfg(feature = "gpu")]
+const KERNELS: [planecast::Kernel; 3] =
+    [planecast::Kernel::Invocation, planecast::Kernel::Workgroup, planecast::Kernel::RaycastRuns];
 
 #[cfg(feature = "gpu")]
 fn gpu_wanted() -> bool {
@@ -85,7 +90,7 @@ fn every_case_keeps_its_bounds_on_the_gpu() {
     if !gpu_wanted() {
         return;
     }
-    let (rows, faults) = run(|world| planecast::Kernel::ALL.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
+    let (rows, faults) = run(|world| KERNELS.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
     // What a device does not draw it refuses with the figure and a way out; that is the rare case.
     let refused: Vec<_> = rows.iter().filter_map(|r| r.refused.as_deref()).collect();
@@ -106,7 +111,7 @@ fn walks_of_seconds_are_refused_on_the_gpu() {
     let inside_solid = Camera { eye: DVec3::new(16.3, 3.5, 15.7), ..camera };
     let repeat = Repeat { x: true, z: true };
     let far = Options { lod: None, repeat, view_distance: 1e9, ..Options::default() };
-    for kernel in planecast::Kernel::ALL {
+    for kernel in KERNELS {
         let mut drawer = Drawer::gpu(&world, kernel, true).unwrap();
         let inside = (drawer.draw)(&inside_solid, &far).unwrap();
         assert_eq!(inside.stats.kernel, "inside", "an eye in solid walks nothing");
@@ -131,7 +136,7 @@ fn walks_that_a_software_gpu_cuts_short_are_refused() {
     let repeat = Repeat { x: true, z: true };
     let options = Options { repeat, view_distance: above, shading: Shading::None, ..Options::default() };
     let mut refused = 0;
-    for kernel in planecast::Kernel::ALL {
+    for kernel in KERNELS {
         let mut drawer = Drawer::gpu(&world, kernel, true).unwrap();
         for pitch in [-90.0, -89.0, -85.0] {
             let camera = Camera { eye, yaw: 25.0, pitch, roll: 0.0, fov: 30.0, width: 80, height: 60 };
@@ -365,8 +370,7 @@ fn closed_worlds_show_no_sky_from_anywhere_on_the_gpu() {
     if !gpu_wanted() {
         return;
     }
-    let (leaks, pixels) =
-        leaks(200, |world| planecast::Kernel::ALL.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
+    let (leaks, pixels) = leaks(200, |world| KERNELS.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
     println!("{pixels} pixels");
     assert!(leaks.is_empty(), "{} frames\n{}", leaks.len(), leaks.join("\n"));
 }
@@ -422,7 +426,7 @@ fn every_case_is_the_same_from_two_gpu_runs_and_with_runtime_checks() {
     let mut drawn = 0;
     for (name, cases) in by_world() {
         let world = name.make();
-        for kernel in planecast::Kernel::ALL {
+        for kernel in KERNELS {
             let mut drawers = [true, true, false].map(|trusted| Drawer::gpu(&world, kernel, trusted).unwrap());
             for case in &cases {
                 let frames: Vec<_> = (drawers.iter_mut())
