@@ -589,6 +589,7 @@ pub(crate) fn pitch(s: &str) -> Result<f64, String> {
     finite(s).and_then(|v| if v.abs() <= 90.0 { Ok(v) } else { Err("expected -90 to 90 degrees".into()) })
 }
 
+#[cfg(feature = "report")]
 fn fov(s: &str) -> Result<f64, String> {
     let allowed = |v: &f64| *v > 0.0 && *v < 180.0;
     finite(s).and_then(|v| Some(v).filter(allowed).ok_or_else(|| "expected above 0 and below 180 degrees".into()))

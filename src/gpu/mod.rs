@@ -44,7 +44,7 @@ pub enum Kernel {
     /// One plane per workgroup: all lanes walk slices of the plane's ray at once.
     #[default]
     Workgroup,
-    /// One ray per pixel through a sparse tree of 64-bit masks ([`crate::tree`]), with the same levels: the baseline.
+    /// One ray per pixel through a sparse tree of 64-bit masks ([`crate::world::tree`]), with the same levels: the baseline.
     Raycast,
     /// One ray per pixel over the tables of planes.
     RaycastRuns,

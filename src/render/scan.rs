@@ -1,4 +1,4 @@
-//! Scans of [`Projection::Lidar`](crate::Projection::Lidar) as point clouds: PLY, LAS or NPY, with a table of the beams beside.
+//! Scans of [`Projection::Lidar`] as point clouds: PLY, LAS or NPY, with a table of the beams beside.
 //!
 //! Points stand where the source's coordinates are known there (its affine map), else in voxels with z up: (x, −z, y), as
 //! `encode` reads such files. NPY has them as the world does, y up.

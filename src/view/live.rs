@@ -1,7 +1,7 @@
 //! A volume at other thresholds while a slider moves: worlds made in memory from its values, coarse first.
 //!
 //! A thread of its own holds the values and halves of them ([`planecast_encoder::model::grid`]). Of what is wanted it makes the finest world that
-//! takes no longer than [`BUDGET`], as far as the ones before tell; once nothing new has been wanted for [`REST`], finer ones, up to all
+//! takes no longer than `BUDGET`, as far as the ones before tell; once nothing new has been wanted for `REST`, finer ones, up to all
 //! voxels.
 
 use std::path::Path;
