@@ -191,6 +191,7 @@ impl World {
             kind.check(size, flight.fps)?;
             planecast::output::check(&output)?;
             let film = Film {
+                spherical: flight.options.projection == planecast::Projection::Equirect,
                 output: &output,
                 kind,
                 cameras: &flight.cameras,
@@ -226,7 +227,9 @@ impl World {
                 .map(|p| {
                     let solid = level.solid.solid(p[0], p[1], p[2]);
                     let color = solid
-                        .then(|| planecast::cpu::pick::color(&self.world.scene, [p[0] as u32, p[1] as u32, p[2] as u32]))
+                        .then(|| {
+                            planecast::cpu::pick::color(&self.world.scene, [p[0] as u32, p[1] as u32, p[2] as u32])
+                        })
                         .flatten();
                     colors.extend(color.map_or([-1; 3], |c| c.map(i16::from)));
                     solid
@@ -378,7 +381,10 @@ mod tests {
     fn errors_speak_of_keyword_arguments() {
         assert_eq!(in_python("--iso red: expected a number"), "iso= red: expected a number");
         assert_eq!(in_python("a.raw: expected --dims X,Y,Z"), "a.raw: expected dims=X,Y,Z");
-        assert_eq!(in_python("--height-scale: must not be 0; try --no-gap-fill"), "height_scale=: must not be 0; try no_gap_fill=");
+        assert_eq!(
+            in_python("--height-scale: must not be 0; try --no-gap-fill"),
+            "height_scale=: must not be 0; try no_gap_fill="
+        );
         assert_eq!(in_python("1 -- 2, a--b"), "1 -- 2, a--b");
     }
 }

@@ -45,7 +45,7 @@ def test_volumes_of_every_type_and_order_are_the_same_world():
 
 def test_height_maps_are_columns():
     heights = RNG.integers(1, 40, (9, 11)).astype("u1")
-    world = planecast.encode(heights)
+    world = planecast.encode(heights, height_scale=1)
     # A column of value v is solid for 0 <= y <= v.
     assert (world.heights() == heights.astype(int) + 1).all()
     assert (planecast.encode(np.asfortranarray(heights.astype("f4")), height_scale=2).heights() == 2 * heights.astype(int) + 1).all()
@@ -110,7 +110,7 @@ def test_xarray_keeps_coordinates():
     xarray = pytest.importorskip("xarray")
     heights = RNG.integers(1, 9, (4, 5)).astype("u1")
     map = xarray.DataArray(heights, dims=("y", "x"), coords={"y": [40.0, 30, 20, 10], "x": [100.0, 110, 120, 130, 140]})
-    world = map.planecast.encode()
+    world = map.planecast.encode(height_scale=1)
     assert (world.heights() == heights + 1).all()
     x, y = world.coordinates([0.5, 2.5], [0.5, 3.0])
     assert (x == [100, 120]).all() and (y == [40, 15]).all()
