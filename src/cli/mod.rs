@@ -804,7 +804,6 @@ impl DrawArgs {
         View { fov, size, repeat: self.repeat() }
     }
 
-    /// Settles what draws, and tells of it where that was left to the program. Before any other work.
     /// Opens the device that draws; what it has to tell goes to stderr.
     fn renderer(&self, scene: &Arc<Scene>, resident: &Arc<Resident>) -> Result<Renderer> {
         Renderer::with_kernel(scene, resident, self.device, self.kernel.as_deref(), &mut tell)

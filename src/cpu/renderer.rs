@@ -241,13 +241,8 @@ impl CpuRenderer {
 
         let kernel = if self.casts_rays { "raycast" } else { "planes" };
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", kernel);
-        frame.stats.planes = setup.planes.len() as u32;
-        frame.stats.planes_full = setup.planes_full;
-        frame.stats.levels = self.resident.levels.len() as u32;
-        frame.stats.levels_drawn = setup.levels;
-        frame.stats.left_out = specialization.left_out();
+        of_planes(&mut frame.stats, &setup, specialization, counters);
         [frame.stats.holes, _] = holes;
-        frame.stats.count(counters);
         frame.stats.cpu_ms = Some(StageTimes {
             setup: setup_ms,
             traverse: traverse_ms,
@@ -399,11 +394,7 @@ impl CpuRenderer {
         }
         let shade_ms = milliseconds(at);
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "sphere");
-        frame.stats.planes = sphere.setup.planes.len() as u32;
-        frame.stats.planes_full = sphere.setup.planes_full;
-        frame.stats.levels_drawn = sphere.setup.levels;
-        frame.stats.left_out = sphere.specialization.left_out();
-        frame.stats.count(counters);
+        of_planes(&mut frame.stats, &sphere.setup, sphere.specialization, counters);
         frame.stats.cpu_ms = Some(StageTimes {
             setup: setup_ms,
             traverse: traverse_ms,
@@ -650,6 +641,15 @@ fn empty_frame(camera: &Camera, outputs: Outputs) -> Frame {
         voxel: vec![SKY; if outputs.voxel { n } else { 0 }],
         stats: Stats::default(),
     }
+}
+
+/// What is known of a frame once its planes are walked.
+fn of_planes(stats: &mut Stats, setup: &Setup, specialization: Specialization, counters: Counters) {
+    stats.planes = setup.planes.len() as u32;
+    stats.planes_full = setup.planes_full;
+    stats.levels_drawn = setup.levels;
+    stats.left_out = specialization.left_out();
+    stats.count(counters);
 }
 
 /// What is known of a frame before it is drawn.

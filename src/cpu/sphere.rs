@@ -465,8 +465,7 @@ fn remap_rows(task: Task<'_>) {
             }
         }
         if !rays.shows_all() {
-            for (x, i) in out.enumerate().filter(|(x, _)| rays.direction((from + x) as u32, y).is_none()) {
-                _ = x;
+            for (_, i) in out.enumerate().filter(|(x, _)| rays.direction((from + x) as u32, y).is_none()) {
                 (color[i], depth[i]) = (0, f32::INFINITY);
                 if let Some(voxel) = voxel.get_mut(i) {
                     *voxel = SKY;

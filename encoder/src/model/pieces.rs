@@ -198,10 +198,17 @@ impl Pieces for Rows {
     }
 }
 
-/// A world of which more is known than its reader says.
+/// A world of which more is known than its reader says, or that lives on something that must not go before it.
 struct Known {
     world: Box<dyn Pieces>,
     about: About,
+    _lives_on: Option<Box<dyn Send + Sync>>,
+}
+
+/// A world that keeps what it lives on, such as a folder of files.
+#[cfg(all(feature = "object-store", not(target_arch = "wasm32")))]
+pub(crate) fn keeping(world: Box<dyn Pieces>, lives_on: impl Send + Sync + 'static) -> Box<dyn Pieces> {
+    Box::new(Known { about: world.about(), world, _lives_on: Some(Box::new(lives_on)) })
 }
 
 impl Pieces for Known {
@@ -267,7 +274,7 @@ pub fn named(world: Box<dyn Pieces>, name: &std::path::Path) -> Box<dyn Pieces> 
         false => name.file_name().map(|name| name.to_string_lossy().into_owned()),
     }
     .unwrap_or_default();
-    Box::new(Known { world, about })
+    Box::new(Known { world, about, _lives_on: None })
 }
 
 /// A world without colours, all of it grey.

@@ -15,10 +15,10 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::http::Http;
 use crate::encode::memory;
-use crate::model::pieces::Pieces;
+use crate::model::pieces::{Pieces, keeping};
 use crate::source::{self, Format, ReadOptions};
 use crate::store::scratch;
-use crate::{About, Error, Input, PcastFile, Result};
+use crate::{Error, PcastFile, Result};
 
 /// Bytes of an object that tell what it is.
 const HEAD: u64 = 64 << 10;
@@ -231,42 +231,6 @@ fn missing(url: &Path) -> Error {
     Error::io(shown(url), "open", none)
 }
 
-/// A world in files that live as long as it does.
-struct Fetched {
-    world: Box<dyn Pieces>,
-    _folder: tempfile::TempDir,
-}
-
-impl Pieces for Fetched {
-    fn dims(&self) -> [u32; 3] {
-        self.world.dims()
-    }
-
-    fn colored(&self) -> bool {
-        self.world.colored()
-    }
-
-    fn notes(&self) -> &[String] {
-        self.world.notes()
-    }
-
-    fn about(&self) -> About {
-        self.world.about()
-    }
-
-    fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
-        self.world.piece(xs, zs)
-    }
-
-    fn input_bytes(&self) -> u64 {
-        self.world.input_bytes()
-    }
-
-    fn rows_together(&self) -> u32 {
-        self.world.rows_together()
-    }
-}
-
 pub(super) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     let object = match url.to_string_lossy().ends_with('/') {
         true => None,
@@ -278,7 +242,7 @@ pub(super) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Piec
             return Err(missing(url));
         }
         let (_, folder) = fetch_folder(url)?;
-        return Ok(Box::new(Fetched { world: source::open_pieces(folder.path(), opts)?, _folder: folder }));
+        return Ok(keeping(source::open_pieces(folder.path(), opts)?, folder));
     };
     let name = &*shown(url);
     let mut head = Vec::new();
@@ -301,7 +265,7 @@ pub(super) fn open_pieces(url: &Path, opts: &ReadOptions) -> Result<Box<dyn Piec
         }
     }
     let (files, folder) = fetch(url)?;
-    Ok(Box::new(Fetched { world: source::open_pieces(&files[0], opts)?, _folder: folder }))
+    Ok(keeping(source::open_pieces(&files[0], opts)?, folder))
 }
 
 /// A file to be put under a URL. It is made in a folder that a later try for the same URL finds again.
