@@ -47,6 +47,11 @@ pub trait TileSource: Send + Sync {
         false
     }
 
+    /// Where to stand first: a place in the air with something to see, voxels of level 0. None where any is as good.
+    fn start(&self) -> Option<[u32; 3]> {
+        None
+    }
+
     /// Whether a tile holds nothing, as far as that is known without reading or making it.
     fn is_empty(&self, key: TileKey) -> bool;
 

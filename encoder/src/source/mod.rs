@@ -19,6 +19,7 @@
 //! | `mesh`: `ply`, `obj`, `stl`, `gltf`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
 //! | `points`, `lidar`, `pcd` | LAS, LAZ, COPC, PCD, PLY without faces | z-up; PLY as stored, or z-up by `--up z` |
 //! | `procedural` | nothing: seeded functions | y-up |
+//! | `tiles` | what gives tiles when they are asked for: scene files, worlds without end | y-up |
 //!
 //! OpenVDB is not read. No crate is kept that could: of `vdb-rs` 0.6.0 (MIT) the last release is of January 2024, it knows
 //! no background values, so that the inside of a level set is lost, takes memory for what a file claims, and panics on 52 of
@@ -91,6 +92,7 @@ mod text;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod tiff;
+pub mod tiles;
 mod values;
 mod volume;
 mod vox;

@@ -23,7 +23,7 @@ mod shapes;
 use clap::ValueEnum;
 
 use crate::model::pieces::{self, InMemory, Pieces};
-use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run};
+use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run, producer};
 
 /// Kinds of procedural scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -54,10 +54,13 @@ impl Kind {
 pub const MAX_SIZE: u32 = 8192;
 
 const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, hills, mixing, menger (level=L), shapes, scan, \
-     serpent, city";
+     serpent, city; without end procedural:KIND?size=inf[&seed=S][&window=X,Z,W,D]";
 
-/// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`.
+/// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`, `hills?size=inf&window=0,0,512,512`.
 pub fn from_name(name: &str) -> Result<Box<dyn Pieces>> {
+    if let Some(window) = producer::window(name)? {
+        return Ok(window);
+    }
     let fail = |what: String| Error::Argument(format!("procedural:{name}: {what}; expected {USAGE}"));
     let (kind, query) = name.split_once('?').unwrap_or((name, ""));
     let kind = Kind::from_str(kind, true).map_err(|_| fail(format!("there is no scene {kind:?}")))?;

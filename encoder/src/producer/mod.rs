@@ -1,0 +1,372 @@
+//! Worlds without end, made tile by tile when somebody looks: densities, what they are made of, and tiles from them. Not here:
+//! scenes that are made whole, which are [`crate::source::procedural`].
+//!
+//! `procedural:NAME?size=inf&seed=N` is one of [`NAMES`]. A world begins at (0, 0) and has 2³⁰ × 2³⁰ columns, so that every cell
+//! and every half voxel has 32 bits; [`Producer::start`] is where to stand first, in its middle. With `&window=X,Z,W,D` it is that part of
+//! it, to be encoded like any input: level 0 of the scene has the columns and colours of the tiles.
+//!
+//! A tile of a level is made by itself, never from finer ones. Octaves of noise that a level cannot show are left out, and their mean
+//! is 0, so that a level is about what [`MipRule::Majority`](crate::MipRule::Majority) makes of level 0; bounds keep them.
+//!
+//! All is integer arithmetic of 32 bits that wraps ([`noise`]), so that everybody makes the same bytes.
+
+mod hills;
+mod make;
+pub mod noise;
+pub mod octaves;
+mod window;
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::encode::build::UNCOLORED;
+use crate::format::TILE;
+use crate::model::pieces::Pieces;
+use crate::model::tiles::{TileKey, TileSource, tile_size};
+use crate::{ColorMode, Error, Level, Result, Rgb};
+
+pub use hills::Hills;
+
+/// Columns of a world along x and z.
+pub const SIDE: u32 = 1 << 30;
+
+/// Worlds without end that have a name.
+pub const NAMES: [&str; 1] = ["hills"];
+
+/// Values from `least` to `most`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Interval {
+    pub least: i32,
+    pub most: i32,
+}
+
+/// A box of the world, in half voxels of level 0; both ends belong to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Part {
+    pub from: [u32; 3],
+    pub to: [u32; 3],
+}
+
+/// Columns of a level. What is beside the world counts on, around 2³².
+#[derive(Clone, Copy, Debug)]
+pub struct Area {
+    pub level: u32,
+    /// Number of the first column along x and z.
+    pub from: [u32; 2],
+    pub size: [u32; 2],
+}
+
+impl Area {
+    /// Where column number `i` of the area along x (`axis` 0) or z (1) has its middle, in half voxels.
+    #[inline(always)]
+    pub fn middle(&self, axis: usize, i: u32) -> u32 {
+        middle(self.from[axis].wrapping_add(i), self.level)
+    }
+}
+
+/// The middle of voxel `v` of a level, in half voxels of level 0.
+#[inline(always)]
+pub fn middle(v: u32, level: u32) -> u32 {
+    v.wrapping_mul(2).wrapping_add(1) << level
+}
+
+/// A voxel with an exposed face, to be coloured.
+#[derive(Clone, Copy, Debug)]
+pub struct Spot {
+    pub level: u32,
+    /// Its middle, in half voxels of level 0.
+    pub at: [u32; 3],
+    /// Voxels of level 0 that its run goes on above it.
+    pub depth: u32,
+}
+
+/// A world as a function: solid where it is above 0.
+pub trait Density: Send + Sync {
+    /// Voxels of level 0 that columns are high, up to 65,536.
+    fn height(&self) -> u32;
+
+    /// At a voxel of a level, whose middle `p` is in half voxels of level 0. May leave out what the level cannot show.
+    fn value(&self, p: [u32; 3], level: u32) -> i32;
+
+    /// All values of all levels in a part of the world, or more.
+    fn bounds(&self, part: &Part) -> Interval;
+
+    /// Of columns that are solid from the ground up: how high each of an area is, in voxels of its level. None where there are
+    /// others.
+    fn heights(&self, area: &Area) -> Option<Vec<u16>> {
+        let _ = area;
+        None
+    }
+
+    /// Whether [`Density::heights`] gives some.
+    fn is_height_field(&self) -> bool {
+        false
+    }
+
+    /// How finely it is coloured.
+    fn color_mode(&self) -> ColorMode {
+        ColorMode::None
+    }
+
+    /// Colours of an area: of [`ColorMode::Run`] of the top of each of its columns, whose heights these are with one column more on
+    /// each side.
+    fn top_colors(&self, area: &Area, heights: &[u16]) -> Vec<Rgb> {
+        let _ = heights;
+        vec![UNCOLORED; area.size[0] as usize * area.size[1] as usize]
+    }
+
+    /// Colour of a voxel with an exposed face.
+    fn color(&self, spot: &Spot) -> Rgb {
+        let _ = spot;
+        UNCOLORED
+    }
+
+    /// Where to stand first: a place in the air with something to see, voxels of level 0.
+    fn start(&self) -> [u32; 3] {
+        [SIDE / 2, self.height(), SIDE / 2]
+    }
+}
+
+/// A density as a world that is asked for tile by tile.
+pub struct Producer<D> {
+    name: String,
+    density: D,
+}
+
+impl<D: Density> Producer<D> {
+    /// `name` is what errors call it.
+    pub fn new(name: impl Into<String>, density: D) -> Producer<D> {
+        Producer { name: name.into(), density }
+    }
+
+    pub fn density(&self) -> &D {
+        &self.density
+    }
+
+    /// The tile's columns, in voxels of its level.
+    fn columns(&self, key: TileKey) -> [Range<u32>; 2] {
+        let size = tile_size(self.dims(), key);
+        [(key.x, size[0]), (key.z, size[1])].map(|(at, n)| at * TILE..at * TILE + n)
+    }
+}
+
+impl<D: Density> TileSource for Producer<D> {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn dims(&self) -> [u32; 3] {
+        [SIDE, self.density.height(), SIDE]
+    }
+
+    fn color(&self) -> ColorMode {
+        self.density.color_mode()
+    }
+
+    fn heights(&self, level: u32) -> [u32; 2] {
+        [0, self.density.height().div_ceil(1 << level.min(31))]
+    }
+
+    fn is_height_field(&self) -> bool {
+        self.density.is_height_field()
+    }
+
+    fn start(&self) -> Option<[u32; 3]> {
+        Some(self.density.start())
+    }
+
+    fn is_empty(&self, key: TileKey) -> bool {
+        let [xs, zs] = self.columns(key);
+        let end = |v: u32| ((u64::from(v) << (key.level + 1)) - 1) as u32;
+        let from = [xs.start << (key.level + 1), 0, zs.start << (key.level + 1)];
+        let to = [end(xs.end), 2 * self.density.height() - 1, end(zs.end)];
+        self.density.bounds(&Part { from, to }).most <= 0
+    }
+
+    fn tile(&self, key: TileKey) -> Result<Level> {
+        let [tiles_x, tiles_z] = [0, 2].map(|i| self.dims()[i].div_ceil(1 << key.level.min(31)).div_ceil(TILE));
+        if key.level >= self.levels() || key.x >= tiles_x || key.z >= tiles_z {
+            let TileKey { level, x, z } = key;
+            return Err(Error::Argument(format!("{}: there is no tile ({x}, {z}) of level {level}", self.name)));
+        }
+        let [xs, zs] = self.columns(key);
+        make::level(&self.density, key.level, xs, zs)
+    }
+}
+
+/// What a name without `procedural:` asks for.
+struct Asked {
+    name: String,
+    seed: u32,
+    window: Option<[u32; 4]>,
+}
+
+/// None where it asks for a scene that is made whole.
+fn asked(name: &str) -> Result<Option<Asked>> {
+    let fail = |what: String| {
+        let names = NAMES.join(", ");
+        let expected = format!("NAME?size=inf[&seed=N][&window=X,Z,W,D], NAME one of {names}");
+        Error::Argument(format!("procedural:{name}: {what}; expected procedural:{expected}"))
+    };
+    let (kind, query) = name.split_once('?').unwrap_or((name, ""));
+    let pairs: Vec<&str> = query.split('&').filter(|pair| !pair.is_empty()).collect();
+    if !pairs.contains(&"size=inf") {
+        return match pairs.iter().find(|pair| pair.starts_with("window=")) {
+            Some(window) => Err(fail(format!("{window} is for worlds without end"))),
+            None => Ok(None),
+        };
+    }
+    let mut asked = Asked { name: kind.to_ascii_lowercase(), seed: 0, window: None };
+    for pair in pairs {
+        match pair.split_once('=') {
+            Some(("size", "inf")) => {}
+            Some(("seed", n)) => {
+                let seed: u64 = n.parse().map_err(|_| fail(format!("seed={n} is not a whole number")))?;
+                asked.seed = noise::hash(seed as u32, (seed >> 32) as u32, 0, 0x5EED);
+            }
+            Some(("window", n)) => {
+                let numbers: Option<Vec<u32>> = n.split(',').map(|n| n.parse().ok()).collect();
+                let window: Option<[u32; 4]> = numbers.and_then(|n| n.try_into().ok());
+                let inside = |at: u32, n: u32| n > 0 && at.checked_add(n).is_some_and(|end| end <= SIDE);
+                let window = window.filter(|&[x, z, w, d]| inside(x, w) && inside(z, d));
+                let what = || fail(format!("window={n} is not four whole numbers of which columns of 0..{SIDE} come"));
+                asked.window = Some(window.ok_or_else(what)?);
+            }
+            _ => return Err(fail(format!("there is no parameter {pair:?}"))),
+        }
+    }
+    if !NAMES.contains(&asked.name.as_str()) {
+        return Err(fail(format!("there is no world without end {kind:?}")));
+    }
+    Ok(Some(asked))
+}
+
+/// The world without end of a name, as `hills?size=inf&seed=1`; None where the name is that of a scene which is made whole, or asks for
+/// a window, which is to be encoded.
+pub fn from_name(name: &str) -> Result<Option<Arc<dyn TileSource>>> {
+    let Some(asked) = asked(name)?.filter(|asked| asked.window.is_none()) else { return Ok(None) };
+    let name = format!("procedural:{name}");
+    Ok(Some(match asked.name.as_str() {
+        "hills" => Arc::new(Producer::new(name, Hills::new(asked.seed))),
+        _ => unreachable!("names are checked"),
+    }))
+}
+
+/// The window of a world without end that a name asks for, as `hills?size=inf&window=0,0,512,512`; None where it asks for a scene that is
+/// made whole.
+pub fn window(name: &str) -> Result<Option<Box<dyn Pieces>>> {
+    let Some(asked) = asked(name)? else { return Ok(None) };
+    let Some(window) = asked.window else {
+        return Err(Error::Argument(format!(
+            "procedural:{name}: a world without end is flown through as it is, not encoded; a part of it is encoded with \
+             &window=X,Z,W,D"
+        )));
+    };
+    Ok(Some(match asked.name.as_str() {
+        "hills" => Box::new(window::Window::new(Hills::new(asked.seed), window)),
+        _ => unreachable!("names are checked"),
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::encode::mips;
+    use crate::{BuildOptions, MipRule, build};
+
+    fn world(name: &str) -> Arc<dyn TileSource> {
+        from_name(name).unwrap().unwrap()
+    }
+
+    #[test]
+    fn producers_tiles_are_those_of_an_encoded_window() {
+        for name in NAMES {
+            let world = world(&format!("{name}?size=inf&seed=3"));
+            let [x, z] = [SIDE / 2, SIDE / 2 + 512];
+            let pieces = window(&format!("{name}?size=inf&seed=3&window={},{},768,300", x - 256, z)).unwrap().unwrap();
+            let opts = BuildOptions { color: Some(world.color()), mip_rule: MipRule::Majority, ..Default::default() };
+            let scene = build(crate::model::pieces::whole(&*pieces).unwrap(), &opts).unwrap();
+            let tile = world.tile(TileKey { level: 0, x: x / TILE, z: z / TILE }).unwrap();
+            assert_eq!(scene.dims()[1], world.dims()[1]);
+            assert_eq!(scene.levels[0].solid.crop(256..512, 0..256), tile.solid, "{name}");
+            if world.color() == ColorMode::Run {
+                let row = |z: u32| scene.levels[0].solid.offsets()[(z * 768 + 256) as usize] as usize;
+                let colors = (0..256).flat_map(|z| &scene.levels[0].colors[row(z)..][..256]);
+                assert!(colors.eq(&tile.colors), "{name}");
+            }
+        }
+    }
+
+    /// Of the columns of a level made directly, how many have another top than those made from level 0, by more than a voxel.
+    #[test]
+    fn producers_levels_are_about_those_made_of_level_0() {
+        for name in NAMES {
+            let world = world(&format!("{name}?size=inf&seed=5"));
+            let pieces =
+                |at: u32| window(&format!("{name}?size=inf&seed=5&window={at},{at},512,512")).unwrap().unwrap();
+            let at = SIDE / 2 + 4096;
+            let mut fine = crate::model::pieces::whole(&*pieces(at)).unwrap().columns;
+            for level in 1..=5 {
+                fine = mips::next(&fine, MipRule::Majority);
+                let n = 512 >> level;
+                let [x, z] = [at >> level; 2];
+                let tile = world.tile(TileKey { level, x: x / TILE, z: z / TILE }).unwrap();
+                let top = |columns: &crate::Columns, x, z| columns.column(x, z).last().map_or(0, |run| run.end());
+                let mut wrong = 0;
+                for (i, j) in (0..n.min(TILE)).flat_map(|j| (0..n.min(TILE)).map(move |i| (i, j))) {
+                    let made = top(&tile.solid, x % TILE + i, z % TILE + j);
+                    wrong += u32::from(made.abs_diff(top(&fine, i, j)) > 1);
+                }
+                let n = n.min(TILE).pow(2);
+                assert!(wrong * 100 <= n, "{name}, level {level}: {wrong} of {n} tops are wrong");
+            }
+        }
+    }
+
+    #[test]
+    fn producers_names_that_are_wrong_say_what_was_expected() {
+        let wrong = |name: &str| from_name(name).err().or(window(name).err()).unwrap().to_string();
+        assert!(
+            wrong("hill?size=inf").contains("there is no world without end \"hill\""),
+            "{}",
+            wrong("hill?size=inf")
+        );
+        assert!(wrong("hills?size=inf&window=0,0,1").contains("four whole numbers"));
+        assert!(wrong("hills?size=inf&window=1073741823,0,2,1").contains("four whole numbers"));
+        assert!(wrong("hills?size=inf&bumps=3").contains("there is no parameter"));
+        assert!(wrong("hills?size=64&window=0,0,1,1").contains("is for worlds without end"));
+        assert!(wrong("hills?size=inf").contains("is flown through as it is"));
+        assert!(from_name("hills?size=64").unwrap().is_none() && window("hills").unwrap().is_none());
+        let world = world("hills?size=inf");
+        let error = world.tile(TileKey { level: 0, x: SIDE / TILE, z: 0 }).unwrap_err().to_string();
+        assert!(error.contains("there is no tile (4194304, 0) of level 0"), "{error}");
+    }
+
+    #[test]
+    fn producers_have_every_level_and_both_ends() {
+        for name in NAMES {
+            let world = world(&format!("{name}?size=inf&seed=1"));
+            assert_eq!(world.levels(), 31);
+            for level in 0..31 {
+                let n = (SIDE >> level).div_ceil(TILE);
+                for (x, z) in [(0, 0), (n - 1, n / 2)] {
+                    let key = TileKey { level, x, z };
+                    let tile = world.tile(key).unwrap();
+                    let side = (SIDE >> level).min(TILE);
+                    assert_eq!(tile.solid.dims(), [side, world.dims()[1].div_ceil(1 << level), side]);
+                    let [low, high] = world.heights(level);
+                    assert!(tile.solid.runs().iter().all(|run| u32::from(run.first()) >= low && run.end() <= high));
+                    assert!(!world.is_empty(key) || tile.solid.runs().is_empty());
+                    match world.color() {
+                        ColorMode::None => assert!(tile.colors.is_empty()),
+                        ColorMode::Run => assert_eq!(tile.colors.len(), tile.solid.runs().len()),
+                        ColorMode::Voxel => assert_eq!(tile.colors.len() as u64, tile.exposed.unwrap().voxels()),
+                    }
+                }
+            }
+            let [x, y, z] = world.start().unwrap();
+            let tile = world.tile(TileKey { level: 0, x: x / TILE, z: z / TILE }).unwrap();
+            assert!(tile.solid.find(x % TILE, y.min(world.dims()[1] - 1), z % TILE).is_none(), "{name}: in the air");
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Sums of octaves of noise: at a point, over an area of columns, over a box, and bounds of them. All give the same values.
+
+use super::noise::{self, ONE, after, along, cell, end2, fade, gradient, hash};
+use super::{Area, Interval, Part};
+
+/// Cells that are narrower than this many voxels of a level are left out of it.
+const NARROWEST: u32 = 2;
+
+/// Noise in cells of a power of two voxels, each half as wide as those of the octave before.
+#[derive(Clone, Debug)]
+pub struct Octaves {
+    seed: u32,
+    /// Two or three dimensions.
+    dimensions: usize,
+    /// By octave: cells of 2^`shift` half voxels, amplitude in 16ths of what is summed.
+    octaves: Vec<[u32; 2]>,
+}
+
+impl Octaves {
+    /// Octaves with cells of 2^`from` to 2^`to` voxels, `to ≤ from ≤ 26`. The first has `amplitude`, 16ths, up to 2¹⁷; each
+    /// other `gain` 256ths of the one before.
+    pub fn new(seed: u32, dimensions: usize, from: u32, to: u32, amplitude: u32, gain: u32) -> Octaves {
+        assert!(to <= from && from <= 26 && amplitude <= 1 << 17 && (2..=3).contains(&dimensions));
+        let mut octaves = Vec::new();
+        // In 4,096ths, so that small ones do not die of rounding.
+        let mut exact = u64::from(amplitude) << 8;
+        for k in (to..=from).rev() {
+            octaves.push([k + 1, (exact >> 8) as u32]);
+            exact = exact * u64::from(gain) >> 8;
+        }
+        Octaves { seed, dimensions, octaves }
+    }
+
+    /// The octaves that a level shows: their seed, the cells' shift, and the amplitude.
+    fn shown(&self, level: u32) -> impl Iterator<Item = (u32, u32, i32)> {
+        let seed = self.seed;
+        self.octaves
+            .iter()
+            .filter(move |[shift, _]| *shift > level + NARROWEST)
+            .map(move |&[shift, amplitude]| (hash(seed, shift, 0, 0), shift, amplitude as i32))
+    }
+
+    /// Lattices of octaves do not lie on each other: there all noise is 0.
+    #[inline(always)]
+    fn moved(seed: u32, axis: u32) -> u32 {
+        hash(seed, axis, 1, 0)
+    }
+
+    /// At a place of two dimensions.
+    pub fn at2(&self, [x, z]: [u32; 2], level: u32) -> i32 {
+        debug_assert_eq!(self.dimensions, 2);
+        let of = |(seed, shift, amplitude)| {
+            let at = [x.wrapping_add(Octaves::moved(seed, 0)), z.wrapping_add(Octaves::moved(seed, 2))];
+            noise::noise2(seed, at, shift) * amplitude >> 4
+        };
+        self.shown(level).map(of).sum()
+    }
+
+    /// At a place of three dimensions.
+    pub fn at3(&self, p: [u32; 3], level: u32) -> i32 {
+        debug_assert_eq!(self.dimensions, 3);
+        let of = |(seed, shift, amplitude)| {
+            let at = [0, 1, 2].map(|i| p[i].wrapping_add(Octaves::moved(seed, i as u32)));
+            noise::noise3(seed, at, shift) * amplitude >> 4
+        };
+        self.shown(level).map(of).sum()
+    }
+
+    /// Over the columns of an area, by rows of x.
+    pub fn over(&self, area: &Area) -> Vec<i32> {
+        debug_assert_eq!(self.dimensions, 2);
+        let [width, depth] = area.size.map(|n| n as usize);
+        let mut sums = vec![0i32; width * depth];
+        for (seed, shift, amplitude) in self.shown(area.level) {
+            let [dx, dz] = [0, 2].map(|axis| Octaves::moved(seed, axis));
+            let across: Vec<(u32, i32)> =
+                (0..width as u32).map(|i| cell(area.middle(0, i).wrapping_add(dx), shift)).collect();
+            let fades: Vec<i32> = across.iter().map(|&(_, f)| fade(f)).collect();
+            let fractions: Vec<i32> = across.iter().map(|&(_, f)| f).collect();
+            // Columns of one cell, and their corners.
+            let mut spans: Vec<(std::ops::Range<usize>, u32)> = Vec::new();
+            for (i, &(cell, _)) in across.iter().enumerate() {
+                match spans.last_mut() {
+                    Some((span, of)) if *of == cell => span.end = i + 1,
+                    _ => spans.push((i..i + 1, cell)),
+                }
+            }
+            let corners: Vec<u32> = spans.iter().map(|s| s.1).chain(spans.last().map(|s| after(s.1, shift))).collect();
+            let mut gradients: [Vec<[i32; 3]>; 2] = Default::default();
+            let mut ends = vec![[0; 2]; corners.len()];
+            let mut loaded = None;
+            for (i, row) in sums.chunks_exact_mut(width).enumerate() {
+                let (z, fz) = cell(area.middle(1, i as u32).wrapping_add(dz), shift);
+                if loaded != Some(z) {
+                    loaded = Some(z);
+                    gradients =
+                        [z, after(z, shift)].map(|z| corners.iter().map(|&x| gradient(hash(seed, x, 0, z))).collect());
+                }
+                let w = fade(fz);
+                let pairs = gradients[0].iter().zip(&gradients[1]);
+                ends.iter_mut().zip(pairs).for_each(|(end, (&g0, &g1))| *end = end2(g0, g1, fz, w));
+                for (at, (span, _)) in spans.iter().enumerate() {
+                    let (e0, e1) = (ends[at], ends[at + 1]);
+                    let places = fractions[span.clone()].iter().zip(&fades[span.clone()]);
+                    for (sum, (&t, &u)) in row[span.clone()].iter_mut().zip(places) {
+                        *sum += along(e0, e1, t, u) * amplitude >> 4;
+                    }
+                }
+            }
+        }
+        sums
+    }
+
+    /// No sum is farther from 0, at any level.
+    pub fn most(&self) -> i32 {
+        let most = noise::MOST[self.dimensions - 2];
+        self.octaves.iter().map(|&[_, amplitude]| (most * amplitude as i32 >> 4) + 1).sum()
+    }
+
+    /// All sums in a part of the world lie in it, whichever octaves the level shows.
+    ///
+    /// Of octaves with cells much wider than the part, the values at its corners bound those between by how much noise can
+    /// bend; of the others, the amplitude counts.
+    pub fn bounds(&self, part: &Part) -> Interval {
+        let axes: &[usize] = if self.dimensions == 2 { &[0, 2] } else { &[0, 1, 2] };
+        let widest = axes.iter().map(|&a| part.to[a] - part.from[a]).max().unwrap_or(0);
+        let mut bounds = Interval { least: 0, most: 0 };
+        for &[shift, amplitude] in &self.octaves {
+            let (amplitude, seed) = (amplitude as i32, hash(self.seed, shift, 0, 0));
+            let most = (noise::MOST[self.dimensions - 2] * amplitude >> 4) + 1;
+            // Second derivatives are at most 25 a cell² along each axis, of which an eighth counts.
+            let part_of_cell = ((i64::from(widest) << 12 >> shift) + 1).min(4 * i64::from(ONE));
+            let bend = 25 * self.dimensions as i64 * part_of_cell * part_of_cell / (8 * i64::from(ONE));
+            let mut of = Interval { least: -most, most };
+            if bend < i64::from(ONE) {
+                let bend = bend as i32 + 2 * noise::ROUNDING;
+                let mut seen = Interval { least: i32::MAX, most: i32::MIN };
+                for corner in 0..1u32 << self.dimensions {
+                    let mut at = part.from;
+                    for (bit, &axis) in axes.iter().enumerate() {
+                        let p = if corner >> bit & 1 == 1 { part.to[axis] } else { part.from[axis] };
+                        at[axis] = p.wrapping_add(Octaves::moved(seed, axis as u32));
+                    }
+                    let n = if self.dimensions == 2 {
+                        noise::noise2(seed, [at[0], at[2]], shift)
+                    } else {
+                        noise::noise3(seed, at, shift)
+                    };
+                    seen = Interval { least: seen.least.min(n), most: seen.most.max(n) };
+                }
+                // Towards below and above, whatever the sign.
+                of.least = of.least.max(((seen.least - bend) * amplitude >> 4) - 1);
+                of.most = of.most.min(((seen.most + bend) * amplitude >> 4) + 1);
+            }
+            // A level may leave the octave out.
+            bounds.least = bounds.least.saturating_add(of.least.min(0));
+            bounds.most = bounds.most.saturating_add(of.most.max(0));
+        }
+        bounds
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn octaves_over_an_area_are_those_at_its_columns(x in any::<u32>(), z in any::<u32>(), level in 0u32..9, seed in any::<u32>()) {
+            let octaves = Octaves::new(seed, 2, 9, 2, 1600, 120);
+            let area = Area { level, from: [x >> 2 >> level, z >> 2 >> level], size: [37, 11] };
+            let sums = octaves.over(&area);
+            for (i, &sum) in sums.iter().enumerate() {
+                let at = [area.middle(0, i as u32 % 37), area.middle(1, i as u32 / 37)];
+                prop_assert_eq!(sum, octaves.at2(at, level));
+            }
+        }
+
+        #[test]
+        fn octaves_lie_in_their_bounds(
+            from in any::<[u32; 3]>(), size in any::<[u16; 3]>(), by in 0u32..12, level in 0u32..6, seed in any::<u32>(),
+            at in proptest::collection::vec(any::<[u16; 3]>(), 40),
+        ) {
+            let size = size.map(|s| u32::from(s) >> by);
+            let part = Part { from, to: [0, 1, 2].map(|i| from[i].wrapping_add(size[i])) };
+            prop_assume!((0..3).all(|i| part.to[i] >= part.from[i]));
+            for dimensions in [2, 3] {
+                let octaves = Octaves::new(seed, dimensions, 12, 2, 3000, 128);
+                let Interval { least, most } = octaves.bounds(&part);
+                prop_assert!(-octaves.most() <= least && most <= octaves.most());
+                for at in &at {
+                    let p = [0, 1, 2].map(|i| from[i] + u32::from(at[i]) % (size[i] + 1));
+                    let v = if dimensions == 2 { octaves.at2([p[0], p[2]], level) } else { octaves.at3(p, level) };
+                    prop_assert!((least..=most).contains(&v), "{v} in {least}..={most}, {dimensions} dimensions");
+                }
+            }
+        }
+    }
+}
