@@ -5,6 +5,7 @@
 
 pub mod demo;
 pub mod help;
+pub mod residency;
 pub mod words;
 
 use std::ffi::{OsStr, OsString};
@@ -25,6 +26,7 @@ use planecast_encoder::store::guard;
 use planecast_encoder::{About, Error as FileError, Scene, note, say};
 use serde_json::json;
 
+use self::residency::{Held, ResidencyArgs};
 use crate::cpu::pick;
 use crate::cpu::renderer;
 use crate::film::fly::{self, Film, Kind};
@@ -483,6 +485,8 @@ pub struct DrawArgs {
     /// Draw a scene with broken tiles, those as empty
     #[arg(long)]
     skip_broken: bool,
+    #[command(flatten)]
+    residency: ResidencyArgs,
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -799,6 +803,19 @@ impl DrawArgs {
         Err(Error::Argument(format!("--sky none: {output} has no transparency; write PNG, or a folder of them")))
     }
 
+    /// What needs the whole world, of one that comes in tiles.
+    fn check_tiles(&self, annotate: bool) -> Result<()> {
+        let needs =
+            [(annotate, "--annotate"), (self.kernel.is_some(), "--kernel"), (self.looks_round(), "--projection")];
+        match needs.into_iter().find(|(given, _)| *given) {
+            Some((_, "--projection")) if self.projection == Projection::Cube => Ok(()),
+            Some((_, flag)) => Err(Error::Argument(format!(
+                "{flag}: needs the whole world in memory, and this one comes in tiles; leave it out, or give --residency whole"
+            ))),
+            None => Ok(()),
+        }
+    }
+
     fn view(&self, size: [u32; 2]) -> View {
         let fov = if self.looks_round() { Projection::Perspective.usual_fov() } else { self.fov() };
         View { fov, size, repeat: self.repeat() }
@@ -871,15 +888,18 @@ fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<
 }
 
 /// What is known of the surface that a scene stands for.
-struct Surface {
+pub struct Surface {
     stands: bool,
     about: About,
+    /// As `info` has it.
+    content: String,
 }
 
 impl Surface {
     fn of(opened: &planecast_encoder::encode::open::Opened) -> Surface {
         let about = opened.file.about().clone();
-        Surface { stands: is_surface(&about, opened.encoded), about }
+        let content = info::content_hash(&opened.file);
+        Surface { stands: is_surface(&about, opened.encoded), about, content }
     }
 }
 
@@ -936,26 +956,43 @@ impl RenderArgs {
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let mut options = self.draw.options();
-        let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
-        let pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
-        let pose = self.draw.looking_round(pose, self.eye, self.pitch, self.aim.is_given(), &scene);
-        let camera = self.draw.camera(pose, size);
-        // Who asks for depths or voxels measures what is there.
-        let measured = self.depth.is_some() || self.voxel.is_some();
-        let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options);
+        let view = self.draw.view(size);
         let outputs = Outputs { voxel: self.voxel.is_some() };
-        let mut renderer = self.draw.renderer(&scene, &resident)?;
-        let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
-        if self.annotate {
-            annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+        let (mut frame, camera, dims, about);
+        match self.draw.residency.open(&self.scene, &shown(&self.input.read), self.draw.skip_broken)? {
+            Held::Whole { scene, surface } => {
+                let pose = self.aim.pose(typed, &scene, view)?;
+                let pose = self.draw.looking_round(pose, self.eye, self.pitch, self.aim.is_given(), &scene);
+                camera = self.draw.camera(pose, size);
+                // Who asks for depths or voxels measures what is there.
+                let measured = self.depth.is_some() || self.voxel.is_some();
+                let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options);
+                let mut renderer = self.draw.renderer(&scene, &resident)?;
+                frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+                if self.annotate {
+                    annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+                }
+                (dims, about) = (scene.dims(), surface.about);
+            }
+            Held::Tiles(tiles) => {
+                self.draw.check_tiles(self.annotate)?;
+                let preview = &tiles.preview;
+                let inner = Typed { eye: self.eye.map(|eye| preview.within(eye)), ..typed };
+                let pose = preview.pose(preview.aim(&self.aim).pose(inner, &preview.scene, view)?);
+                camera = self.draw.camera(pose, size);
+                let mut renderer = self.draw.residency.renderer(&tiles, self.draw.device)?;
+                renderer.set_count(self.stats.is_some());
+                frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+                (dims, about) = (tiles.source.dims(), tiles.about);
+            }
         }
 
         let mut files = Vec::new();
         match (scan, named_file(&self.output)) {
             (Some(kind), Some(path)) => {
-                let rays = Rays::new(&camera, options.projection, scene.dims());
-                let bytes = scan::write(kind, &frame, &rays, &surface.about)?;
+                let rays = Rays::new(&camera, options.projection, dims);
+                let bytes = scan::write(kind, &frame, &rays, &about)?;
                 files.push(output::write(path, |out| out.write_all(&bytes))?);
                 files
                     .push(output::write(&scan::beams_file(path), |out| scan::beams(out, &camera, options.projection))?);
@@ -992,7 +1029,7 @@ impl RenderArgs {
             }
         }
         if frame.depth.iter().all(|d| d.is_infinite()) {
-            let dims = scene.dims().map(|v| v.to_string()).join(" x ");
+            let dims = dims.map(|v| v.to_string()).join(" x ");
             note!(
                 "nothing but sky is in the picture: the scene is {dims} voxels from 0,0,0, the eye is at {:?}",
                 camera.eye.to_array()
@@ -1126,15 +1163,23 @@ impl FlyArgs {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
         }
-        let opened = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?;
-        let surface = Surface::of(&opened);
-        let file = opened.file;
-        let content = info::content_hash(&file);
-        let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
-        drop(file);
         let view = self.draw.view(size);
-        let given = given.or_else(|| self.aim.path(&scene, view));
-        let path = given.unwrap_or_else(|| tour::tour(&scene, view));
+        let held = self.draw.residency.open(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        let (path, content) = match &held {
+            Held::Whole { scene, surface } => {
+                let path = given.or_else(|| self.aim.path(scene, view)).unwrap_or_else(|| tour::tour(scene, view));
+                (path, surface.content.clone())
+            }
+            Held::Tiles(tiles) => {
+                self.draw.check_tiles(self.annotate)?;
+                let preview = &tiles.preview;
+                let found = || {
+                    let path = preview.aim(&self.aim).path(&preview.scene, view);
+                    preview.path(&path.unwrap_or_else(|| tour::tour(&preview.scene, view)))
+                };
+                (given.unwrap_or_else(found), format!("{} {:?}", tiles.source.name(), tiles.source.dims()))
+            }
+        };
         if let Some(file) = &self.save_path {
             output::write(file, |out| out.write_all(path.to_json().as_bytes()))?.finish()?;
         }
@@ -1164,8 +1209,16 @@ impl FlyArgs {
             })?;
         }
 
-        let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options);
-        let mut renderer = self.draw.renderer(&scene, &resident)?;
+        let mut whole = None;
+        let mut renderer = match held {
+            Held::Whole { scene, surface } => {
+                let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options);
+                let renderer = self.draw.renderer(&scene, &resident)?;
+                whole = Some((scene, resident, surface.about));
+                renderer
+            }
+            Held::Tiles(tiles) => self.draw.residency.renderer(&tiles, self.draw.device)?,
+        };
         renderer.set_count(self.stats.is_some());
         renderer.set_depth(self.annotate);
         let spherical = self.draw.projection == Projection::Equirect;
@@ -1190,8 +1243,8 @@ impl FlyArgs {
         let draw = &mut |cameras: &[Camera], spare: Option<Frame>| {
             renderer.reuse(spare);
             let mut frame = renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)?;
-            if self.annotate {
-                annotate(&mut frame, &cameras[0], &scene, &resident, &surface.about);
+            if let (true, Some((scene, resident, about))) = (self.annotate, &whole) {
+                annotate(&mut frame, &cameras[0], scene, resident, about);
             }
             Ok(frame)
         };

@@ -11,7 +11,7 @@ pub mod shaders;
 pub mod types;
 
 use crate::clock::Instant;
-use crate::cpu::renderer::{Outputs, check, derives_normals, frame_stats, inside_solid};
+use crate::cpu::renderer::{CpuRenderer, Outputs, check, derives_normals, frame_stats, inside_solid};
 use crate::cpu::shade;
 use crate::cpu::shadow::Tops;
 use crate::cpu::smooth::{self, Ground};
@@ -23,6 +23,7 @@ use crate::frame::picture::{Frame, StageTimes, Stats};
 use crate::frame::plane_setup::{Setup, plane_setup};
 use crate::frame::projection::Projection;
 use crate::frame::specialize::{Feature, Specialization, Twin};
+use crate::world::pager::Change;
 use crate::world::tables::Resident;
 use crate::world::tree::{Roots, Tree};
 pub use engine::Shader;
@@ -125,7 +126,8 @@ impl Default for GpuOptions {
 
 /// Draws frames of one scene on the GPU.
 pub struct GpuRenderer {
-    scene: Arc<Scene>,
+    /// None of a world whose tiles are not all there.
+    scene: Option<Arc<Scene>>,
     resident: Arc<Resident>,
     options: GpuOptions,
     engine: Engine,
@@ -311,19 +313,19 @@ impl GpuRenderer {
     /// Opens the adapter and uploads the scene. Without a usable adapter, or where the scene does not fit, the error says
     /// so.
     pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<GpuRenderer> {
-        GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
+        GpuRenderer::with_engine(Some(scene), resident, options, || Engine::new(options.trusted))
     }
 
     /// One on every adapter.
     pub fn on_all(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<Vec<GpuRenderer>> {
         let open = |adapter: &wgpu::Adapter| {
-            GpuRenderer::with_engine(scene, resident, options, || Engine::on(adapter, options.trusted))
+            GpuRenderer::with_engine(Some(scene), resident, options, || Engine::on(adapter, options.trusted))
         };
         Engine::adapters(&engine::instance())?.iter().map(open).collect()
     }
 
     fn with_engine(
-        scene: &Arc<Scene>,
+        scene: Option<&Arc<Scene>>,
         resident: &Arc<Resident>,
         mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
@@ -354,7 +356,7 @@ impl GpuRenderer {
         let shown = present::Shown::default();
         let (live_order, shaded_order) = Default::default();
         Ok(GpuRenderer {
-            scene: Arc::clone(scene),
+            scene: scene.cloned(),
             resident: Arc::clone(resident),
             options,
             engine,
@@ -376,14 +378,36 @@ impl GpuRenderer {
         })
     }
 
+    /// Draws from tables alone, whose tiles are not all there: by planes, in perspective, without shadows and surfaces.
+    pub fn of_tables(resident: &Arc<Resident>, options: GpuOptions) -> Result<GpuRenderer> {
+        GpuRenderer::with_engine(None, resident, options, || Engine::new(options.trusted))
+    }
+
+    pub fn tables(&self) -> &Resident {
+        &self.resident
+    }
+
+    /// The tables on the host, to be changed between frames; `None` while others have them too.
+    pub fn tables_mut(&mut self) -> Option<&mut Resident> {
+        Arc::get_mut(&mut self.resident)
+    }
+
+    /// Brings what has changed in the tables to the device; how many bytes that was.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the device has no room for them.
+    pub fn bring(&mut self, changes: &[Change]) -> Result<u64> {
+        self.tables.sync(&self.engine, &self.resident, changes, self.options.binding_size)
+    }
+
     /// The adapter's name, and its driver.
     pub fn device(&self) -> (&str, &str) {
         (&self.engine.name, &self.engine.driver)
     }
 
-    /// What it draws.
-    pub fn draws(&self) -> (&Arc<Scene>, &Arc<Resident>) {
-        (&self.scene, &self.resident)
+    /// What draws the same on the CPU.
+    pub fn cpu(&self) -> CpuRenderer {
+        CpuRenderer::of(self.scene.clone(), Arc::clone(&self.resident))
     }
 
     /// Gives the device up at once, with all its memory. Later frames are an [`Error::Device`], as after a device is lost.
@@ -671,7 +695,7 @@ impl GpuRenderer {
 
     /// The frame of an eye inside a voxel.
     fn inside(&self, camera: &Camera, options: &Options, outputs: Outputs) -> Option<Box<Frame>> {
-        let mut frame = inside_solid(&self.scene, &self.resident, camera, options, outputs)?;
+        let mut frame = inside_solid(self.scene.as_deref(), &self.resident, camera, options, outputs)?;
         frame.stats.device = self.engine.name.clone();
         frame.stats.cpu_ms = None;
         frame.stats.gpu_ms = Some(StageTimes::default());
@@ -682,7 +706,7 @@ impl GpuRenderer {
     /// A frame without its picture.
     fn empty_frame(&self, plan: &Plan, setup: &Setup, camera: &Camera, options: &Options) -> Frame {
         let mut frame = Frame { width: camera.width, height: camera.height, ..empty() };
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, &self.engine.name, plan.kernel.name());
+        frame.stats = frame_stats(&self.resident, camera, options, &self.engine.name, plan.kernel.name());
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels_drawn = setup.levels;
@@ -711,7 +735,7 @@ impl GpuRenderer {
         };
         self.check_steps(&setup, options)?;
         let mut plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
-        plan.derived = derives_normals(&self.scene, options);
+        plan.derived = derives_normals(&self.resident, options);
         self.reserve(&plan)?;
         if plan.shadows {
             self.shadows(&mut upload.frame)?;
@@ -1139,7 +1163,8 @@ impl GpuRenderer {
     }
 
     fn variant(&self, defines: &[&'static str]) -> Variant {
-        Variant { defines: defines.to_vec(), pages: self.tables.pages }
+        let paged = self.tables.is_paged().then_some("PAGED");
+        Variant { defines: defines.iter().copied().chain(paged).collect(), pages: self.tables.pages }
     }
 
     fn traverse(&mut self, recorder: &mut Recorder, plan: &Plan, options: &Options) -> Result<()> {

@@ -7,7 +7,7 @@
 use crate::cpu::remap::HOLE;
 use crate::cpu::{normal, refine, shade, shadow, smooth};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
-use crate::world::tables::{BLOCK_SHIFT, EMPTY, UNPAINTED};
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, TILE_SHIFT, UNPAINTED};
 use std::fmt::Write;
 use wgpu::naga;
 
@@ -53,6 +53,13 @@ pub struct Pages {
     pub shift: u32,
 }
 
+impl Pages {
+    /// Bytes of a page, of elements of so many.
+    pub fn bytes(self, element: u64) -> u64 {
+        if self.n == 1 { u64::MAX } else { element << self.shift }
+    }
+}
+
 /// What a shader's text depends on.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
@@ -73,6 +80,7 @@ fn header() -> String {
     constant("UNPAINTED", format!("{UNPAINTED}u"));
     constant("BLOCK_SHIFT", format!("{BLOCK_SHIFT}u"));
     constant("BLOCK_SIZE", format!("{}i", 1 << BLOCK_SHIFT));
+    constant("TILE_SHIFT", format!("{TILE_SHIFT}u"));
     constant("STEEP", format!("{STEEP:?}f"));
     constant("TINY", "1e-20f".into());
     // In decimal it rounds to more than can be represented, which browsers refuse.
@@ -207,7 +215,7 @@ mod tests {
         let many = [Pages { n: 3, shift: 20 }; 3];
         let mut all = Vec::new();
         for pages in [one, many] {
-            for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
+            for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"], &["PAGED"], &["HEIGHTS", "GROUND", "PAGED"]] {
                 for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS", "UNIFORM"]] {
                     for remap in [
                         &[][..],
@@ -312,7 +320,7 @@ mod tests {
                     paint,
                     exposed,
                     colors,
-                    _pad0
+                    pages
                 }),
             ),
             (

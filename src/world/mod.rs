@@ -1,6 +1,10 @@
 //! A world that can be drawn: from a scene file, from whatever `encode` reads, or from memory. The one door to a scene; renderers
 //! share it.
 
+pub mod fetch;
+pub mod pager;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod preview;
 pub mod tables;
 pub mod tree;
 

@@ -15,13 +15,14 @@ use planecast::cpu::traverse::{PlaneBuffer, traverse};
 use planecast::frame::plane_setup::plane_setup;
 use planecast::gpu::Begin;
 use planecast::render::device::{Device, Renderer};
+use planecast::world::pager::Patience;
 use planecast::world::tree::Tree;
 use planecast::{
     Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Normals, Options, Outputs, Planes,
     Remap, Repeat, Resident, Shading,
 };
 use planecast_encoder::source::procedural::{Kind, procedural};
-use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
+use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, PcastFile, Scene, build};
 use std::sync::Arc;
 
 const VOXEL: Outputs = Outputs { voxel: true };
@@ -713,6 +714,38 @@ fn scenes_beyond_a_binding_are_cut_into_several() {
         assert!(draw(128 << 10).unwrap() == draw(u64::MAX).unwrap(), "{}", kernel.name());
         let error = draw(16 << 10).unwrap_err().to_string();
         assert!(error.contains("bindings of 0 MiB") && error.contains("--device cpu"), "{error}");
+    }
+}
+
+#[test]
+fn worlds_in_tiles_are_drawn_as_whole_ones() {
+    if !gpu_wanted() {
+        return;
+    }
+    let terrain = |color| world(Kind::Terrain, 700, Encoding::Solid, color);
+    let worlds = [
+        ("heights", terrain(ColorMode::None)),
+        ("colours of heights", terrain(ColorMode::Voxel)),
+        ("rocks", world(Kind::Rocks, 600, Encoding::Solid, ColorMode::Voxel)),
+        ("run colours", world(Kind::Rocks, 300, Encoding::Surface, ColorMode::Run)),
+    ];
+    for (name, world) in worlds {
+        let mut file = std::io::Cursor::new(Vec::new());
+        let path = std::path::Path::new("tiles.pcast");
+        planecast_encoder::format::write::write_scene_to(&world.scene, &mut file, path).unwrap();
+        let source = Arc::new(PcastFile::from_bytes(path, file.into_inner()).unwrap());
+        let mut tiles = Renderer::of_tiles(source, Device::Gpu, 256 << 20, Patience::Wait, &mut |_| ()).unwrap();
+        let mut whole = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+        let mut uploaded = 0;
+        for camera in poses(&world).into_iter().take(4) {
+            let expected = whole.render(&camera, &Options::default(), VOXEL).unwrap();
+            let frame = tiles.draw_with(&camera, &Options::default(), VOXEL, &mut |_| ()).unwrap();
+            assert!(frame.voxel == expected.voxel, "{name} {camera:?}");
+            assert!(frame.color == expected.color && frame.depth == expected.depth, "{name} {camera:?}");
+            assert_eq!(frame.stats.paging.debt, 0);
+            uploaded += frame.stats.paging.bytes_uploaded;
+        }
+        assert!(uploaded > 0);
     }
 }
 
