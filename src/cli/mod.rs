@@ -31,6 +31,7 @@ use crate::cpu::pick;
 use crate::cpu::renderer;
 use crate::film::fly::{self, Film, Kind};
 use crate::film::path::{Path, Pose};
+use crate::film::timeline::Timeline;
 use crate::film::tour::{self, View};
 use crate::film::video::{Encoder, padded, segment_frames};
 use crate::frame::aim::{AimArgs, Typed};
@@ -213,6 +214,9 @@ pub struct FlyArgs {
     /// Also write what the last frame drawn cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
+    /// Also write what each frame took, one a line (CSV): stages in ms; tiles wanted, used and evicted; bytes; debt; lod
+    #[arg(long, value_name = "T.csv")]
+    timeline: Option<PathBuf>,
     #[command(flatten)]
     aim: AimArgs,
     #[command(flatten)]
@@ -1147,7 +1151,11 @@ impl FlyArgs {
         if !self.plan {
             kind.check(size, self.fps)?;
         }
-        let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
+        let mut outputs = vec![
+            ("--save-path", self.save_path.as_ref()),
+            ("--stats", self.stats.as_ref()),
+            ("--timeline", self.timeline.as_ref()),
+        ];
         if !matches!(kind, Kind::Folder | Kind::Stdout) {
             outputs.push(("--output", Some(&self.output)));
         }
@@ -1219,8 +1227,9 @@ impl FlyArgs {
             }
             Held::Tiles(tiles) => self.draw.residency.renderer(&tiles, self.draw.device)?,
         };
-        renderer.set_count(self.stats.is_some());
+        renderer.set_count(self.stats.is_some() || self.timeline.is_some());
         renderer.set_depth(self.annotate);
+        let mut timeline = self.timeline.as_ref().map(|_| Timeline::new(options.lod));
         let spherical = self.draw.projection == Projection::Equirect;
         if spherical && size[0] != 2 * size[1] {
             tell("players show a film of the whole sphere as twice as wide as high; --size 3840x1920 is");
@@ -1242,13 +1251,20 @@ impl FlyArgs {
         };
         let draw = &mut |cameras: &[Camera], spare: Option<Frame>| {
             renderer.reuse(spare);
+            let at = Instant::now();
             let mut frame = renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)?;
+            if let Some(timeline) = &mut timeline {
+                timeline.push(film.range.end - cameras.len(), at.elapsed().as_secs_f64() * 1e3, &frame.stats);
+            }
             if let (true, Some((scene, resident, about))) = (self.annotate, &whole) {
                 annotate(&mut frame, &cameras[0], scene, resident, about);
             }
             Ok(frame)
         };
         let outcome = fly::fly(&film, draw)?;
+        if let (Some(file), Some(timeline)) = (&self.timeline, timeline) {
+            output::write(file, |out| out.write_all(timeline.csv().as_bytes()))?.finish()?;
+        }
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
             output::write(file, |out| output::json(out, stats))?.finish()?;
         }
