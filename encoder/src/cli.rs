@@ -280,7 +280,14 @@ impl clap::FromArgMatches for InputArgs {
 /// A scene, or anything else encoded as `encode` would, with a bar on the terminal and a line or two on how it was read.
 pub fn open(name: &Path, read: &ReadOptions) -> Result<Opened> {
     let watch = Arc::new(Watch::default());
-    with_bar(&watch, 0, || open::open(name, read, &watch, &mut |world| tell_of(world, false)))
+    let opened = with_bar(&watch, 0, || open::open(name, read, &watch, &mut |world| tell_of(world, false)))?;
+    if !opened.encoded && read.is_given() {
+        crate::note!(
+            "{}: is a scene already; --ramp, --exaggeration, --iso and what else says how an input is read belong to encode, and change nothing here",
+            name.display()
+        );
+    }
+    Ok(opened)
 }
 
 /// Runs `work` with that many threads; None: one a core.

@@ -76,6 +76,7 @@ pub(crate) fn features_built() -> String {
         ("report", cfg!(feature = "report")),
         ("view", cfg!(feature = "view")),
         ("zarr", cfg!(feature = "zarr")),
+        ("dicom", cfg!(feature = "dicom")),
         ("object-store", cfg!(feature = "object-store")),
     ];
     let names = |on: bool| {

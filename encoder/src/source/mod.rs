@@ -188,6 +188,14 @@ pub struct ReadOptions {
     pub nodata: Option<f64>,
 }
 
+impl ReadOptions {
+    /// Whether any flag was typed.
+    pub fn is_given(&self) -> bool {
+        let typed = ReadOptions { show: false, ..self.clone() };
+        format!("{typed:?}") != format!("{:?}", ReadOptions::default())
+    }
+}
+
 /// How colours code heights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum HeightCode {
