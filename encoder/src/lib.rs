@@ -39,3 +39,4 @@ pub use model::columns::{Columns, ColumnsBuilder};
 pub use model::input::{Colors, Input};
 pub use model::run::Run;
 pub use model::scene::{ColorMode, Encoding, Level, MipRule, Rgb, Scene};
+pub use model::tiles::{TileKey, TileSource};

@@ -20,8 +20,10 @@ use crate::format::column_rle::{self, Form};
 use crate::format::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, edges, n_edges};
 use crate::format::metadata;
 use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
+use crate::model::about::Kind;
 use crate::model::exposure;
 use crate::model::filled::{filled, starts};
+use crate::model::tiles::{TileKey, TileSource};
 use crate::store::guard::Map;
 use crate::{About, ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene};
 
@@ -613,6 +615,50 @@ fn check_entries(entries: &[TileEntry], flags: u32, directory_end: u64, file_len
         }
     }
     Ok(())
+}
+
+impl TileSource for PcastFile {
+    fn name(&self) -> String {
+        self.path.display().to_string()
+    }
+
+    fn dims(&self) -> [u32; 3] {
+        PcastFile::dims(self)
+    }
+
+    fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    fn color(&self) -> ColorMode {
+        self.color
+    }
+
+    fn heights(&self, level: u32) -> [u32; 2] {
+        let grid = &self.grids[level as usize];
+        let tiles = &self.entries[grid.first as usize..][..grid.n_tiles() as usize];
+        let found = tiles.iter().filter(|tile| !tile.is_empty());
+        let [bottom, top] = found.fold([u32::MAX, 0], |[bottom, top], tile| {
+            [bottom.min(tile.y_min.into()), top.max(u32::from(tile.y_max) + 1)]
+        });
+        [bottom.min(top), top]
+    }
+
+    fn is_height_field(&self) -> bool {
+        self.about.kind == Some(Kind::Terrain) && self.encoding == Encoding::Solid
+    }
+
+    fn is_empty(&self, key: TileKey) -> bool {
+        self.entries[self.tile_ix(key.level as usize, key.x, key.z)].is_empty()
+    }
+
+    fn tile(&self, key: TileKey) -> Result<Level> {
+        PcastFile::tile(self, key.level as usize, key.x, key.z)
+    }
+
+    fn bytes(&self, key: TileKey) -> u64 {
+        self.entries[self.tile_ix(key.level as usize, key.x, key.z)].len.into()
+    }
 }
 
 /// What the tiles of a scene hold.

@@ -10,3 +10,4 @@ pub mod pieces;
 pub mod run;
 pub mod scene;
 pub mod srgb;
+pub mod tiles;
