@@ -37,5 +37,6 @@ pub use format::forms::{Feature, Features};
 pub use model::about::About;
 pub use model::columns::{Columns, ColumnsBuilder};
 pub use model::input::{Colors, Input};
+pub use model::matter::Matter;
 pub use model::run::Run;
 pub use model::scene::{ColorMode, Encoding, Level, MipRule, Rgb, Scene};

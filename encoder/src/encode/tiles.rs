@@ -22,9 +22,10 @@ use crate::encode::mips;
 use crate::encode::part::{Finished, Part, Plan, Stored, WORK};
 use crate::format::file::Modes;
 use crate::format::write::heights_blob;
-use crate::format::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
+use crate::format::write::{SceneWriter, compressed, tile_blob, too_long, with_matter, write_atomic};
 use crate::format::{self, Grid, TILE, TileEntry};
 use crate::model::exposure;
+use crate::model::matter::Matter;
 use crate::model::pieces::Pieces;
 use crate::store::scratch;
 use crate::{
@@ -378,6 +379,7 @@ impl Tiles {
         let whole = from == 0 && to == grid.n_tiles();
         let modes = Modes { encoding: Encoding::Solid, color: ColorMode::None };
         self.by_heights = world.heights().is_some()
+            && world.about().classes.is_none()
             && self.plan.modes == modes
             && self.plan.features.has(Feature::Heights)
             && self.plan.dims[1] <= 0xFFFF;
@@ -449,6 +451,7 @@ impl Tiles {
             return Ok(HEIGHTS_COST);
         }
         let Input { columns, colors, .. } = world.piece(xs.clone(), zs.clone())?;
+        let matter = world.matter(xs.clone(), zs.clone())?;
         let modes = self.plan.modes;
         let exposed = exposure::exposed(&columns);
         // Those of the surrounding columns are made, too, and not used.
@@ -471,12 +474,14 @@ impl Tiles {
             }
             let tile = Level {
                 solid: columns.crop(tile_xs.clone(), tile_zs.clone()),
-                exposed: Some(exposed.crop(tile_xs, tile_zs)),
+                exposed: Some(exposed.crop(tile_xs.clone(), tile_zs.clone())),
                 colors: own,
+                matter: matter.as_ref().map(|m| Arc::new(m.crop(tile_xs, tile_zs))),
             };
             tiles.finished(0, tx, tz, tile)
         })?;
-        let bytes = columns.bytes() + exposed.bytes() + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
+        let of_matter = matter.as_ref().map_or(0, Matter::bytes);
+        let bytes = columns.bytes() + exposed.bytes() + of_matter + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
         // Half as much again for what comes and goes on the way.
         Ok(bytes as f64 * 1.5 / (xs.len() as f64 * zs.len() as f64))
     }
@@ -544,6 +549,10 @@ impl Tiles {
             made
         } else {
             tile_blob(&tile, modes, features).map_err(too_long)?
+        };
+        let (entry, blob) = match tile.matter.as_ref().filter(|m| !m.is_empty()) {
+            Some(matter) => with_matter((entry, blob), matter).map_err(too_long)?,
+            None => (entry, blob),
         };
         if color == ColorMode::None {
             tile.exposed = None;
@@ -628,9 +637,10 @@ impl Tiles {
         let (inner_xs, inner_zs) = (inner(&xs, &around_xs), inner(&zs, &around_zs));
         let solid = solid.crop(inner_xs.clone(), inner_zs.clone());
         let exposed = exposed.crop(inner_xs, inner_zs);
+        let finer = |r: &Range<u32>, axis: usize| 2 * r.start..below.dims[axis].min(2 * r.end);
         let mut colors = Vec::new();
         if self.plan.modes.color != ColorMode::None {
-            let (xs, zs) = (2 * xs.start..below.dims[0].min(2 * xs.end), 2 * zs.start..below.dims[2].min(2 * zs.end));
+            let (xs, zs) = (finer(&xs, 0), finer(&zs, 2));
             let fine =
                 gather(xs.clone(), zs.clone(), |l| l.exposed.as_ref().expect("coloured tiles have exposed runs"));
             let starts: HashMap<(u32, u32), Vec<u64>> = tiles
@@ -651,7 +661,16 @@ impl Tiles {
             }
             colors = mips::next_colors(&exposed, &fine, &fine_colors);
         }
-        self.finished(level, tx, tz, Level { solid, exposed: Some(exposed), colors })
+        // Parts of one scene have the same classes.
+        let matter = self.parts[0].about().classes.as_ref().map(|classes| {
+            let fine = Matter::gather(below.dims[1], finer(&xs, 0), finer(&zs, 2), |x, z| {
+                let level = tiles[&(x / TILE, z / TILE)].level();
+                let ix = (z % TILE) as usize * level.solid.nx() as usize + (x % TILE) as usize;
+                (level.matter.as_deref(), ix, level.solid.nx() - x % TILE)
+            });
+            Arc::new(fine.next(classes))
+        });
+        self.finished(level, tx, tz, Level { solid, exposed: Some(exposed), colors, matter })
     }
 
     /// A finished tile, from memory or from where it is stored.
@@ -719,7 +738,8 @@ fn stopped(watch: &Watch) -> Result<()> {
 }
 
 fn level_bytes(level: &Level) -> u64 {
-    level.solid.bytes() + level.exposed.as_ref().map_or(0, Columns::bytes) + 3 * level.colors.len() as u64
+    let matter = level.matter.as_ref().map_or(0, |m| m.bytes());
+    level.solid.bytes() + level.exposed.as_ref().map_or(0, Columns::bytes) + 3 * level.colors.len() as u64 + matter
 }
 
 /// Tiles kept in memory for the levels above, those used last.

@@ -22,6 +22,8 @@ use crate::format::metadata;
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
 use crate::model::exposure;
 #[cfg(not(target_arch = "wasm32"))]
+use crate::model::matter::Matter;
+#[cfg(not(target_arch = "wasm32"))]
 use crate::store::passing::Unfinished;
 use crate::{About, ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene};
 
@@ -88,7 +90,7 @@ pub fn write_scene(scene: &Scene, path: &Path) -> Result<()> {
     write_atomic(path, |out| write_scene_to(scene, out, path))
 }
 
-/// The same bytes into `out`, from its start. `path` is what errors call it.
+/// The same bytes into `out`, from its start. Of translucent matter it knows nothing: [`crate::encode::encode`] does. `path` is what errors call it.
 pub fn write_scene_to(scene: &Scene, out: &mut (impl Write + Seek), path: &Path) -> Result<()> {
     write_scene_with(scene, Features::ALL, out, path)
 }
@@ -183,6 +185,7 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
                 }
             }
             let version = match entry.flags {
+                flags if flags & format::MATTER != 0 => format::VERSION_MATTER,
                 flags if flags & format::SPECIALIZED != 0 => format::VERSION_SPECIALIZED,
                 flags if flags & format::COMPRESSED != 0 => format::VERSION_COMPRESSED,
                 _ => format::VERSION,
@@ -227,6 +230,25 @@ pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (Ti
     entry.len = frame.len() as u32;
     entry.checksum = xxh3_64(&frame);
     (entry, frame)
+}
+
+/// A tile with its matter behind what is solid. An error is the number of bytes, beyond 32 bits.
+#[cfg(not(target_arch = "wasm32"))]
+pub(crate) fn with_matter(
+    (mut entry, blob): (TileEntry, Vec<u8>),
+    matter: &Matter,
+) -> Result<(TileEntry, Vec<u8>), usize> {
+    let mut bytes = vec![0; format::MATTER_HEADER];
+    bytes[..4].copy_from_slice(&(blob.len() as u32).to_le_bytes());
+    bytes.extend_from_slice(&blob);
+    bytes.resize(bytes.len().next_multiple_of(ALIGN as usize), 0);
+    bytes.extend_from_slice(&matter.pack());
+    if u32::try_from(bytes.len()).is_err() {
+        return Err(bytes.len());
+    }
+    entry.flags = entry.flags & !format::EMPTY | format::MATTER;
+    (entry.len, entry.checksum) = (bytes.len() as u32, xxh3_64(&bytes));
+    Ok((entry, bytes))
 }
 
 /// One level, with what its tiles need to be cut out.
@@ -287,6 +309,7 @@ impl<'a> LevelSource<'a> {
             solid: self.level.solid.crop(xs.clone(), zs.clone()),
             exposed: Some(self.exposed.crop(xs, zs)),
             colors,
+            matter: None,
         };
         let modes = Modes { encoding: self.scene.encoding, color: self.scene.color };
         tile_blob(&tile, modes, features).map_err(|len| too_long(self.k, tx, tz, len))

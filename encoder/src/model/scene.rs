@@ -1,6 +1,9 @@
 //! A world in memory, with all its levels.
 
+use std::sync::Arc;
+
 use crate::Columns;
+use crate::model::matter::Matter;
 
 /// sRGB, 8 bits a channel.
 pub type Rgb = [u8; 3];
@@ -49,6 +52,8 @@ pub struct Level {
     /// Colours: none; one a run of the geometry, in its order; or one an exposed voxel, in the order of
     /// `exposed` (column by column, ascending).
     pub colors: Vec<Rgb>,
+    /// Translucent matter beside what is solid; `None` where the level has none.
+    pub matter: Option<Arc<Matter>>,
 }
 
 impl Level {
