@@ -17,6 +17,7 @@ use std::time::Instant;
 
 use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
+use planecast_encoder::model::transfer::Transfer;
 use planecast_encoder::cli::{InputArgs, Made};
 use planecast_encoder::format::write::{keep_input, resolved};
 use planecast_encoder::inspect::info;
@@ -456,6 +457,9 @@ pub struct DrawArgs {
     /// Neighbours that occlusion is taken from, 1 to 64
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64), default_value = "10")]
     ssao_samples: u32,
+    /// Colours and opacities of a volume's values, where it was encoded with --classes: a JSON file, or bone, soft-tissue, smoke, cloud
+    #[arg(long, value_name = "FILE.json|PRESET")]
+    transfer: Option<String>,
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
@@ -817,7 +821,7 @@ impl DrawArgs {
         surface: &Surface,
         measured: bool,
         options: &mut Options,
-    ) -> (Arc<Scene>, Arc<Resident>) {
+    ) -> Result<(Arc<Scene>, Arc<Resident>)> {
         let drawn = options.drawn();
         if *options != drawn {
             *options = drawn;
@@ -830,7 +834,8 @@ impl DrawArgs {
         *options = options.drawn();
         // A surface is drawn from heights alone.
         let features = if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
-        let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+        let resident = Resident::with(&scene, features).with_about(&scene, &surface.about);
+        self.set_transfer(&resident)?;
         if options.smooth && !resident.heights {
             options.smooth = false;
             if !surface.stands {
@@ -845,7 +850,26 @@ impl DrawArgs {
                 "derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn",
             );
         }
-        (Arc::new(scene), Arc::new(resident))
+        Ok((Arc::new(scene), Arc::new(resident)))
+    }
+
+    /// What is said of translucent matter instead of what the scene says.
+    fn set_transfer(&self, resident: &Resident) -> Result<()> {
+        let Some(name) = &self.transfer else { return Ok(()) };
+        let window = resident.matter.as_ref().and_then(|matter| matter.classes.window);
+        let Some((matter, window)) = resident.matter.as_ref().zip(window) else {
+            return Err(Error::Argument(format!(
+                "--transfer {name}: the scene has no steps of values to colour; encode a volume with --classes N"
+            )));
+        };
+        let transfer = Transfer::open(name, window)?;
+        transfer.left_out.iter().for_each(|what| tell(&format!("--transfer {name}: left out {what}")));
+        matter.set_transfer(&transfer);
+        if matter.look().is_clear() {
+            let [low, high] = window;
+            tell(&format!("--transfer {name}: all is clear; the steps of the scene go from {low} to {high}"));
+        }
+        Ok(())
     }
 
     fn set_threads(&self) -> Result<()> {
@@ -943,7 +967,7 @@ impl RenderArgs {
         let camera = self.draw.camera(pose, size);
         // Who asks for depths or voxels measures what is there.
         let measured = self.depth.is_some() || self.voxel.is_some();
-        let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options)?;
         let outputs = Outputs { voxel: self.voxel.is_some() };
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
@@ -991,7 +1015,7 @@ impl RenderArgs {
                 print_bytes(&bytes)?;
             }
         }
-        if frame.depth.iter().all(|d| d.is_infinite()) {
+        if resident.matter.is_none() && frame.depth.iter().all(|d| d.is_infinite()) {
             let dims = scene.dims().map(|v| v.to_string()).join(" x ");
             note!(
                 "nothing but sky is in the picture: the scene is {dims} voxels from 0,0,0, the eye is at {:?}",
@@ -1036,7 +1060,7 @@ impl RenderArgs {
         for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
             std::fs::create_dir_all(dir).map_err(|e| FileError::io(dir, "make", e))?;
         }
-        let (scene, resident) = self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options)?;
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_depth(depth.is_some());
         renderer.set_count(stats_file.is_some());
@@ -1164,7 +1188,7 @@ impl FlyArgs {
             })?;
         }
 
-        let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options)?;
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_count(self.stats.is_some());
         renderer.set_depth(self.annotate);

@@ -1,7 +1,9 @@
 //! The stages on the CPU, with rayon over planes or rows. Each has its GPU twin in `shaders/` under the same name.
 
 pub mod exact;
+pub mod exact_matter;
 pub mod gap_fill;
+pub mod matter;
 pub mod normal;
 pub mod pick;
 pub mod raycast;

@@ -7,7 +7,7 @@ use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
 use crate::cpu::smooth::{self, Ground};
 use crate::cpu::sphere::Sphere;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
-use crate::cpu::{gap_fill, raycast, refine, remap, resize, shade, shade_rays};
+use crate::cpu::{exact_matter, gap_fill, matter, raycast, refine, remap, resize, shade, shade_rays};
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
 use crate::frame::options::{Normals, Options, Planes, Remap, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
@@ -237,6 +237,7 @@ impl CpuRenderer {
 
         let at = Instant::now();
         self.shade(camera, options, Some(&setup), &mut frame);
+        self.matter(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
 
         let kernel = if self.casts_rays { "raycast" } else { "planes" };
@@ -392,6 +393,7 @@ impl CpuRenderer {
             true => self.shade(camera, options, None, &mut frame),
             false => self.shade_rays(camera, options, &rays, &mut frame),
         }
+        self.matter(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "sphere");
         of_planes(&mut frame.stats, &sphere.setup, sphere.specialization, counters);
@@ -454,6 +456,12 @@ impl CpuRenderer {
                 self.shade_rays(camera, options, &rays, &mut frame);
             }
         }
+        match &self.resident.matter {
+            Some(matter) if device == "exact" => {
+                exact_matter::compose(&self.scene, matter, camera, options, &mut frame);
+            }
+            _ => self.matter(camera, options, &mut frame),
+        }
         frame.stats = frame_stats(&self.scene, &self.resident, camera, options, device, "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
@@ -462,6 +470,13 @@ impl CpuRenderer {
             ..StageTimes::default()
         });
         Ok(frame)
+    }
+
+    /// Translucent matter, over what is solid.
+    fn matter(&self, camera: &Camera, options: &Options, frame: &mut Frame) {
+        if let Some(matter) = &self.resident.matter {
+            matter::compose(matter, camera, options, frame);
+        }
     }
 
     /// The surface of a height field, over its blocks.
@@ -682,6 +697,7 @@ pub(crate) fn frame_stats(
     specialization.extend(options.shadows.then(|| "shadows".into()));
     specialization.extend(derives_normals(scene, options).then(|| "derived-normals".into()));
     specialization.extend(options.smooth.then(|| "smooth".into()));
+    specialization.extend(resident.matter.is_some().then(|| "matter".into()));
     Stats {
         device: device.into(),
         kernel: kernel.into(),

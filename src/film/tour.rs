@@ -436,7 +436,7 @@ mod tests {
     use super::*;
 
     fn scene(solid: Columns) -> Scene {
-        let level = Level { solid, exposed: None, colors: Vec::new() };
+        let level = Level { solid, exposed: None, colors: Vec::new(), matter: None };
         Scene { encoding: Encoding::Solid, color: ColorMode::None, mip_rule: MipRule::Any, levels: vec![level] }
     }
 

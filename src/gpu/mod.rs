@@ -328,6 +328,9 @@ impl GpuRenderer {
         mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
     ) -> Result<GpuRenderer> {
+        if resident.matter.is_some() {
+            return Err(Error::Device("the GPU does not draw translucent matter yet; use --device cpu".into()));
+        }
         if let Some(lanes) = options.lanes {
             let invocation = options.kernel == Kernel::Invocation;
             let fits =

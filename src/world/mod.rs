@@ -1,6 +1,7 @@
 //! A world that can be drawn: from a scene file, from whatever `encode` reads, or from memory. The one door to a scene; renderers
 //! share it.
 
+pub mod matter;
 pub mod tables;
 pub mod tree;
 
@@ -85,7 +86,7 @@ impl World {
             (file.read_scene()?, Some(info?))
         };
         let about = file.about().clone();
-        let resident = Arc::new(Resident::try_with(&scene, specialize)?.with_fractions(&about.fractions));
+        let resident = Arc::new(Resident::try_with(&scene, specialize)?.with_about(&scene, &about));
         let smooth = resident.heights && is_surface(&about, encoded);
         let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
         let scene = Arc::new(scene);

@@ -13,12 +13,14 @@
 //! ```
 
 use crate::frame::specialize::{Feature, Features};
+use crate::world::matter::SceneMatter;
 use crate::{Error, Result};
 use bytemuck::Zeroable;
 use planecast_encoder::model::filled::{filled, starts};
-use planecast_encoder::{ColorMode, Columns, Level, Rgb, Run, Scene};
+use planecast_encoder::{About, ColorMode, Columns, Level, Rgb, Run, Scene};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Columns a side of a block whose height bounds are kept.
 pub const BLOCK_SHIFT: u32 = 3;
@@ -92,6 +94,8 @@ pub struct Resident {
     /// By how much the surface that level 0 stands for is higher than its columns, in 256ths of a voxel, 128 more; empty where that
     /// is not known.
     pub fractions: Vec<u8>,
+    /// Translucent matter, where the scene has any.
+    pub matter: Option<Arc<SceneMatter>>,
 }
 
 /// Packs a colour for the kernels: r in the low byte, alpha 255.
@@ -119,7 +123,13 @@ impl Resident {
             && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
         let levels = scene.levels.iter().map(|level| resident_level(level, scene, heights));
         let levels = levels.collect::<Result<_>>()?;
-        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new() })
+        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new(), matter: None })
+    }
+
+    /// The same with what the scene's file says beside its voxels.
+    pub fn with_about(self, scene: &Scene, about: &About) -> Resident {
+        let matter = SceneMatter::of(scene, about);
+        Resident { matter, ..self.with_fractions(&about.fractions) }
     }
 
     /// The same with what is known of the surface that a height field stands for.
@@ -144,7 +154,7 @@ impl Resident {
             };
             (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
         };
-        self.levels.iter().map(level).sum::<u64>() + self.fractions.len() as u64
+        self.levels.iter().map(level).sum::<u64>() + self.fractions.len() as u64 + self.matter.as_ref().map_or(0, |m| m.bytes())
     }
 }
 

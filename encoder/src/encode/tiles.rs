@@ -451,7 +451,10 @@ impl Tiles {
             return Ok(HEIGHTS_COST);
         }
         let Input { columns, colors, .. } = world.piece(xs.clone(), zs.clone())?;
-        let matter = world.matter(xs.clone(), zs.clone())?;
+        let matter = world.matter(xs.clone(), zs.clone())?.map(|matter| match columns.runs().is_empty() {
+            true => matter,
+            false => matter.without(&columns),
+        });
         let modes = self.plan.modes;
         let exposed = exposure::exposed(&columns);
         // Those of the surrounding columns are made, too, and not used.
@@ -899,6 +902,7 @@ mod tests {
             notes: Vec::new(),
             about: About::default(),
             input_bytes: 0,
+            water: None,
         };
         for (encoding, mip_rule, features) in [
             (Encoding::Solid, MipRule::Any, Features::ALL),

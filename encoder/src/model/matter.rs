@@ -5,6 +5,7 @@
 //! of class `k`; where they are materials, code `8 · (k - 1) + e` is `e` eighths of material `k` and nothing else.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -52,6 +53,12 @@ pub struct Classes {
 }
 
 impl Classes {
+    /// Of water alone.
+    pub fn water() -> Arc<Classes> {
+        let class = Class { color: [36, 92, 118], opacity: 0.09, mode: Mode::Volumetric };
+        Arc::new(Classes { window: None, classes: vec![class] })
+    }
+
     /// The highest code that a voxel can have.
     pub fn max_code(&self) -> u16 {
         self.classes.len() as u16 * STEPS
@@ -263,6 +270,31 @@ impl Matter {
         Ok(out.finish())
     }
 
+    /// The same without what lies in solid voxels.
+    pub fn without(&self, solid: &Columns) -> Matter {
+        let [nx, ny, _] = self.dims;
+        let row = |z: u32, out: &mut MatterBuilder| {
+            for x in 0..nx {
+                let (ix, mut at) = (z as usize * nx as usize + x as usize, 0);
+                let mut runs = solid.column(x, z).iter().copied().peekable();
+                for own in self.column(ix) {
+                    while at < own.end() {
+                        // Solid runs that end at or below are done with.
+                        while runs.next_if(|run| run.end() <= at).is_some() {}
+                        let (first, end) = runs.peek().map_or((ny, ny), |run| (u32::from(run.first()), run.end()));
+                        let inside = first <= at;
+                        let next = own.end().min(if inside { end } else { first });
+                        out.push(next - at, if inside { 0 } else { own.code() });
+                        at = next;
+                    }
+                }
+                out.end_column();
+            }
+            Ok(())
+        };
+        Matter::try_from_rows(self.dims, row).expect("a run can be cut in two by each solid one")
+    }
+
     /// The next coarser level.
     pub fn next(&self, classes: &Classes) -> Matter {
         let [nx, ny, nz] = self.dims;
@@ -439,8 +471,10 @@ pub fn water(columns: &Columns, level: u32) -> Matter {
     let [nx, ny, nz] = columns.dims();
     let row = |z: u32, out: &mut MatterBuilder| {
         for x in 0..nx {
-            let ground = columns.column(x, z).last().map_or(0, |run| run.end());
-            // A column that has nothing stands for a hole in the data.
+            let runs = columns.column(x, z);
+            let below = runs.partition_point(|run| u32::from(run.first()) < level);
+            // A column that has nothing there stands for a hole in the data.
+            let ground = below.checked_sub(1).map_or(0, |i| runs[i].end());
             if ground > 0 && ground < level {
                 out.push(ground, 0);
                 out.push(level.min(ny) - ground, STEPS);
@@ -495,6 +529,17 @@ mod tests {
             if let Ok(other) = Matter::unpack(&wrong, dims, 40) {
                 assert_ne!(other, matter);
             }
+        }
+    }
+
+    #[test]
+    fn matter_is_not_where_voxels_are_solid() {
+        let dims = [13, 29, 7];
+        let solid = Columns::from_fn(13, 29, 7, |x, y, z| (x + y / 3 + z) % 4 == 1);
+        let cut = of(dims, speckled).without(&solid);
+        for (x, y, z) in (0..13).flat_map(|x| (0..29).flat_map(move |y| (0..7).map(move |z| (x, y, z)))) {
+            let expected = if solid.find(x, y, z).is_some() { 0 } else { speckled(x, y, z) };
+            assert_eq!(cut.at(x, y, z), expected);
         }
     }
 

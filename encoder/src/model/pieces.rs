@@ -168,6 +168,8 @@ pub struct Rows {
     pub notes: Vec<String>,
     pub about: About,
     pub input_bytes: u64,
+    /// Voxels from the ground up that water reaches, of worlds that say its class.
+    pub water: Option<u32>,
 }
 
 impl Pieces for Rows {
@@ -204,6 +206,14 @@ impl Pieces for Rows {
             }
         };
         Ok(Input { columns, colors, notes: Vec::new() })
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        let Some(level) = self.water else { return Ok(None) };
+        let columns = Columns::try_from_rows([xs.len() as u32, self.dims[1], zs.len() as u32], |z, out| {
+            (self.row)(xs.clone(), z + zs.start, out)
+        })?;
+        Ok(Some(matter::water(&columns, level)))
     }
 
     fn heights(&self) -> Option<&HeightsFn> {

@@ -103,6 +103,7 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use crate::model::matter;
 use crate::model::pieces::{self, Pieces};
 use crate::store::guard::Map;
 #[cfg(not(target_arch = "wasm32"))]
@@ -186,6 +187,16 @@ pub struct ReadOptions {
     /// Value of a height map that stands for no data [default: what the file says]
     #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
     pub nodata: Option<f64>,
+    /// Keep a volume's values as N steps of translucent matter, whose colours and opacities `render --transfer` sets; solid is then
+    /// only what --iso says
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub classes: Option<u16>,
+    /// Values that the steps of --classes divide; what is below is clear [default: least and greatest of a sample]
+    #[arg(long, value_name = "LO,HI", allow_negative_numbers = true, value_parser = parse_window, requires = "classes")]
+    pub window: Option<[f64; 2]>,
+    /// Water over what is lower, in the unit of a height map's values; of a procedural landscape in voxels
+    #[arg(long, value_name = "HEIGHT", allow_negative_numbers = true, value_parser = number)]
+    pub water: Option<f64>,
 }
 
 /// How colours code heights.
@@ -342,6 +353,12 @@ fn parse_spacing(s: &str) -> Result<Spacing, String> {
     sides.filter(fits).map(Spacing::Of).ok_or_else(|| expected.to_owned())
 }
 
+fn parse_window(s: &str) -> Result<[f64; 2], String> {
+    let parts: Option<Vec<f64>> = s.split(',').map(|p| p.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    let ends: Option<[f64; 2]> = parts.and_then(|p| p.try_into().ok());
+    ends.filter(|[low, high]| low < high).ok_or_else(|| "expected two numbers that ascend, as in -200,1500".to_owned())
+}
+
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
     let wrong = || "expected three whole numbers, as in 256,128,64 (two for .r16)".to_owned();
     let mut parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
@@ -363,7 +380,7 @@ pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
 /// The same, read piece by piece; volumes are never in memory as a whole.
 pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
-        return procedural::from_name(name);
+        return procedural::from_name(name).map(|world| flooded(world, opts));
     }
     #[cfg(not(target_arch = "wasm32"))]
     {
@@ -373,6 +390,20 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     }
     #[cfg(target_arch = "wasm32")]
     open_local(path, opts)
+}
+
+/// A world made of a function, with the water that was asked for.
+fn flooded(world: Box<dyn Pieces>, opts: &ReadOptions) -> Box<dyn Pieces> {
+    let mut about = world.about();
+    if opts.classes.is_some() {
+        about.left_out.push("--classes: it is for volumes".to_owned());
+    }
+    let Some(level) = opts.water.map(|height| height.clamp(0.0, MAX_HEIGHT as f64) as u32).filter(|&level| level > 0) else {
+        return world;
+    };
+    about.kind = Some(crate::model::about::Kind::Procedural);
+    about.classes = Some(matter::Classes::water());
+    Box::new(pieces::Flooded { world, about, level })
 }
 
 fn open_local(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
@@ -586,6 +617,8 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--rgb", opts.rgb.is_some() && !is_image, "it is for images of heights in colours");
     unused("--ramp", opts.ramp.is_some() && !is_map && !is_volume, "it is for height maps and volumes");
     unused("--exaggeration", opts.exaggeration.is_some() && !is_map, "it is for height maps");
+    unused("--classes", opts.classes.is_some() && !is_volume, "it is for volumes");
+    unused("--water", opts.water.is_some() && !is_map, "it is for height maps");
     unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy
