@@ -476,7 +476,11 @@ impl DecodeArgs {
         keep_input(&self.scene, "--output", &self.output)?;
         let begun = Instant::now();
         let output = Output::new(&self.output)?;
-        decode_to_raw(&read_scene(&open::scene(&self.scene)?, self.skip_broken)?, output.file())?;
+        let scene = read_scene(&open::scene(&self.scene)?, self.skip_broken)?;
+        if scene.classes.is_some() {
+            crate::note!("note: {}: translucent matter is left out, the volume says what is solid", self.scene.display());
+        }
+        decode_to_raw(&scene, output.file())?;
         let made = Made::new(Some(&self.output), output.file());
         output.finish()?;
         made.tell(begun, "");

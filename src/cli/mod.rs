@@ -834,7 +834,7 @@ impl DrawArgs {
         *options = options.drawn();
         // A surface is drawn from heights alone.
         let features = if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
-        let resident = Resident::with(&scene, features).with_about(&scene, &surface.about);
+        let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
         self.set_transfer(&resident)?;
         if options.smooth && !resident.heights {
             options.smooth = false;

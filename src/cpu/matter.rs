@@ -17,7 +17,7 @@ use planecast_encoder::model::matter::Mode;
 use rayon::prelude::*;
 
 /// Optical depth at which a pixel is closed: 1/256 of the light is left.
-const CLOSED: f32 = 5.545_177_4;
+pub(crate) const CLOSED: f32 = 5.545_177_4;
 
 /// [`crate::world::matter::Optics`] in the precision of pictures.
 #[derive(Clone, Copy)]
@@ -135,6 +135,26 @@ impl Ray {
     }
 }
 
+/// The coarsest level that can be walked: one repeats with the world only where its voxels do.
+pub(crate) fn coarsest(matter: &SceneMatter, options: &Options) -> u32 {
+    let [nx, _, nz] = matter.levels[0].dims();
+    let whole = |n: u32, repeats: bool| if repeats { n.trailing_zeros() } else { u32::MAX };
+    (matter.levels.len() as u32 - 1).min(whole(nx, options.repeat.x)).min(whole(nz, options.repeat.z))
+}
+
+/// Distance, in lengths of a ray's direction, at which a voxel of level 0 is as large as the level of detail asks for; infinite where
+/// level 0 is drawn everywhere.
+pub(crate) fn finest(camera: &Camera, options: &Options) -> f32 {
+    let pixel = match options.projection {
+        Projection::Perspective => 2.0 * camera.half_extent().y / f64::from(camera.height),
+        Projection::Ortho { .. } => 0.0,
+        Projection::Fisheye => camera.fov.to_radians() / f64::from(camera.width.min(camera.height)),
+        Projection::Cube => 4.0 / f64::from(camera.height),
+        Projection::Equirect | Projection::Lidar { .. } => std::f64::consts::TAU / f64::from(camera.width),
+    };
+    options.lod.map_or(f64::INFINITY, |lod| 1.0 / (lod * pixel)) as f32
+}
+
 impl<'a> Walk<'a> {
     fn new(matter: &'a SceneMatter, look: &'a Look, camera: &Camera, options: &Options) -> Walk<'a> {
         let entries = look.optics.iter().map(|o| Entry {
@@ -143,19 +163,8 @@ impl<'a> Walk<'a> {
             mode: o.mode,
             material: o.material,
         });
-        let [nx, _, nz] = matter.levels[0].dims();
         let repeats = [options.repeat.x, options.repeat.z];
-        // A level repeats with the world only where its voxels do.
-        let whole = |n: u32, repeats: bool| if repeats { n.trailing_zeros() } else { u32::MAX };
-        let coarsest = (matter.levels.len() as u32 - 1).min(whole(nx, repeats[0])).min(whole(nz, repeats[1]));
-        let pixel = match options.projection {
-            Projection::Perspective => 2.0 * camera.half_extent().y / f64::from(camera.height),
-            Projection::Ortho { .. } => 0.0,
-            Projection::Fisheye => camera.fov.to_radians() / f64::from(camera.width.min(camera.height)),
-            Projection::Cube => 4.0 / f64::from(camera.height),
-            Projection::Equirect | Projection::Lidar { .. } => std::f64::consts::TAU / f64::from(camera.width),
-        };
-        let finest = options.lod.map_or(f64::INFINITY, |lod| 1.0 / (lod * pixel)) as f32;
+        let (coarsest, finest) = (coarsest(matter, options), finest(camera, options));
         Walk { matter, look, entries: entries.collect(), repeats, coarsest, finest, view: view_distance(options) }
     }
 
@@ -388,4 +397,182 @@ pub fn over(rays: &Rays, frame: &mut Frame, light: impl Fn(DVec3, DVec3, f64) ->
             *color = light(rays.origin(x, y), dir, depth.into()).over(*color);
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::cpu::renderer::{CpuRenderer, Outputs};
+    use crate::frame::options::{Repeat, Shading};
+    use crate::world::World;
+    use planecast_encoder::model::matter::{Class, Classes, Matter, STEPS};
+    use planecast_encoder::{Colors, Columns, Input};
+
+    fn class(color: [u8; 3], opacity: f64, mode: Mode) -> Class {
+        Class { color, opacity, mode }
+    }
+
+    /// A world of class `of` of each voxel, and what is solid.
+    fn world(
+        dims: [u32; 3],
+        window: Option<[f64; 2]>,
+        classes: Vec<Class>,
+        of: impl Fn(u32, u32, u32) -> u16 + Sync,
+        solid: impl Fn(u32, u32, u32) -> bool + Sync,
+    ) -> World {
+        let [nx, ny, nz] = dims;
+        let matter = Matter::try_from_rows(dims, |z, out| {
+            for x in 0..nx {
+                (0..ny).for_each(|y| out.push(1, STEPS * of(x, y, z)));
+                out.end_column();
+            }
+            Ok(())
+        });
+        let input = Input { columns: Columns::from_fn(nx, ny, nz, solid), colors: Colors::None, notes: Vec::new() };
+        let classes = Arc::new(Classes { window, classes });
+        World::with_matter(Path::new("world"), input, Some((matter.unwrap(), classes))).unwrap()
+    }
+
+    fn camera(eye: [f64; 3], yaw: f64, pitch: f64) -> Camera {
+        Camera { eye: eye.into(), yaw, pitch, fov: 50.0, width: 65, height: 49, ..Camera::default() }
+    }
+
+    fn plain() -> Options {
+        Options { shading: Shading::None, ..Options::default() }
+    }
+
+    fn both(world: &World, camera: &Camera, options: &Options) -> [Frame; 2] {
+        let mut renderer = CpuRenderer::new(&world.scene, &world.resident);
+        [
+            renderer.render(camera, options, Outputs::default()).unwrap(),
+            renderer.exact(camera, options, Outputs::default()).unwrap(),
+        ]
+    }
+
+    /// Mean and greatest difference of channels.
+    fn difference(a: &Frame, b: &Frame) -> (f64, u8) {
+        let all = a.color.as_flattened().iter().zip(b.color.as_flattened());
+        let each: Vec<u8> = all.map(|(a, b)| a.abs_diff(*b)).collect();
+        (each.iter().map(|&d| f64::from(d)).sum::<f64>() / each.len() as f64, each.into_iter().max().unwrap())
+    }
+
+    fn speckle(n: u16) -> impl Fn(u32, u32, u32) -> u16 + Sync {
+        move |x, y, z| ((x / 2).wrapping_mul(31) ^ (y / 3).wrapping_mul(17) ^ (z / 2).wrapping_mul(57)) as u16 % 13 % (n + 1)
+    }
+
+    #[test]
+    fn fog_that_fills_all_takes_by_the_length_of_the_way() {
+        let world = world([64; 3], None, vec![class([200, 100, 0], 0.02, Mode::Volumetric)], |_, _, _| 1, |_, _, _| false);
+        // From outside, along z through all 64 voxels; from the middle through half of them.
+        for (eye, way) in [([32.0, 32.0, 100.0], 64.0), ([32.0, 32.0, 32.0], 32.0)] {
+            let taken = 1.0 - 0.98f64.powf(way);
+            for frame in both(&world, &camera(eye, 0.0, 0.0), &Options { sky: false, ..plain() }) {
+                let [r, g, b, a] = frame.color[24 * 65 + 32];
+                assert_eq!([r, g, b], [200, 100, 0]);
+                assert!((f64::from(a) - 255.0 * taken).abs() <= 0.51, "{a} of {taken}");
+            }
+        }
+    }
+
+    #[test]
+    fn pictures_are_those_of_exact_integration() {
+        let classes: Vec<Class> =
+            (0..4).map(|k| class([60 * k, 200, 255 - 60 * k], [0.004, 0.03, 0.2, 0.9][usize::from(k)], Mode::Volumetric)).collect();
+        let solid = |x: u32, y: u32, z: u32| (x / 9 + y / 5 + z / 7) % 5 == 0 && (x + z) % 3 > 0;
+        let world = world([43, 57, 38], Some([0.0, 4.0]), classes, speckle(4), solid);
+        for (eye, yaw, pitch) in [
+            ([80.0, 70.0, 90.0], -40.0, -25.0),
+            ([20.3, 30.2, 19.7], 130.0, 12.0),
+            ([21.0, 90.0, 19.0], 0.0, -90.0),
+            ([20.0, -30.0, 19.0], 0.0, 90.0),
+            ([-30.0, 28.0, 20.0], 90.0, 0.0),
+        ] {
+            let [fast, exact] = both(&world, &camera(eye, yaw, pitch), &plain());
+            let (mean, most) = difference(&fast, &exact);
+            assert!(mean < 0.1 && most <= 2, "{eye:?}: mean {mean}, most {most}");
+        }
+        let round = Camera { width: 64, height: 32, ..camera([20.0, 60.0, 20.0], 10.0, 0.0) };
+        let options = Options { projection: Projection::Equirect, ..plain() };
+        let [fast, exact] = both(&world, &round, &options);
+        assert!(difference(&fast, &exact).0 < 0.5);
+        let options = Options { repeat: Repeat { x: true, z: true }, view_distance: 90.0, lod: None, ..plain() };
+        let [fast, exact] = both(&world, &camera([-15.0, 62.0, 75.0], 200.0, -10.0), &options);
+        let (mean, _) = difference(&fast, &exact);
+        assert!(mean < 0.2, "{mean}");
+    }
+
+    #[test]
+    fn coarser_levels_take_as_much_as_what_they_are_made_of() {
+        let classes = vec![class([250, 250, 250], 0.002, Mode::Volumetric), class([20, 80, 160], 0.02, Mode::Volumetric)];
+        let world = world([64; 3], Some([0.0, 2.0]), classes, speckle(2), |_, _, _| false);
+        let camera = camera([32.0, 32.0, 400.0], 0.0, 0.0);
+        let [coarse, exact] = both(&world, &Camera { fov: 12.0, ..camera }, &Options { lod: Some(16.0), ..plain() });
+        let (mean, _) = difference(&coarse, &exact);
+        assert!(mean > 0.0 && mean < 3.0, "{mean}");
+    }
+
+    #[test]
+    fn zero_extinction_leaves_every_bit_and_infinite_shows_its_colour() {
+        let hills = |x: u32, y: u32, z: u32| y < 5 + x * z % 7;
+        let classes = vec![class([9, 9, 9], 0.0, Mode::Volumetric)];
+        let clear = world([32, 24, 32], Some([0.0, 1.0]), classes, |_, _, _| 1, hills);
+        let input = Input { columns: Columns::from_fn(32, 24, 32, hills), colors: Colors::None, notes: Vec::new() };
+        let opaque = World::of_input(Path::new("opaque"), input).unwrap();
+        let camera = camera([16.0, 30.0, 60.0], 5.0, -20.0);
+        for (a, b) in both(&clear, &camera, &Options::default()).iter().zip(&both(&opaque, &camera, &Options::default())) {
+            assert!(a.color == b.color && a.depth == b.depth);
+        }
+        let wall = vec![class([10, 20, 30], 1.0, Mode::Volumetric)];
+        let wall = world([32, 24, 32], Some([0.0, 1.0]), wall, |_, _, _| 1, |_, _, _| false);
+        for frame in both(&wall, &Camera { eye: [16.0, 12.0, 60.0].into(), pitch: 0.0, ..camera }, &plain()) {
+            assert_eq!(frame.color[24 * 65 + 32], [10, 20, 30, 255]);
+        }
+    }
+
+    #[test]
+    fn panes_take_once_however_thick_they_are() {
+        for thick in [1, 5] {
+            let glass = vec![class([0, 0, 255], 0.25, Mode::Surface)];
+            let pane = |_: u32, _: u32, z: u32| u16::from(z >= 10 && z < 10 + thick);
+            let world = world([20; 3], None, glass, pane, |_, _, _| false);
+            for frame in both(&world, &camera([10.0, 10.0, 40.0], 0.0, 0.0), &Options { sky: false, ..plain() }) {
+                assert_eq!(frame.color[24 * 65 + 32], [0, 0, 255, 64], "{thick}");
+            }
+        }
+    }
+
+    #[test]
+    fn additive_matter_gives_light_and_takes_none() {
+        let camera = camera([8.0, 8.0, 30.0], 0.0, 0.0);
+        let drawn = |opacity: f64| {
+            let glow = vec![class([100, 0, 0], opacity, Mode::Additive)];
+            let world = world([16; 3], None, glow, |_, _, _| 1, |_, _, z| z == 0);
+            both(&world, &camera, &plain()).map(|frame| frame.color[24 * 65 + 32])
+        };
+        for (dark, lit) in drawn(0.0).into_iter().zip(drawn(0.01)) {
+            let expected = f64::from(dark[0]) + 15.0 * -(0.99f64.ln()) * 100.0;
+            assert!((f64::from(lit[0]) - expected).abs() <= 1.0 && lit[1..] == dark[1..], "{lit:?} {dark:?}");
+        }
+    }
+
+    #[test]
+    fn a_hundred_thousand_layers_along_one_ray_add_up() {
+        let classes = vec![class([255, 0, 0], 1e-5, Mode::Volumetric), class([0, 0, 255], 2e-5, Mode::Volumetric)];
+        let layers = world([100_000, 2, 2], None, classes, |x, _, _| 1 + (x % 2) as u16, |_, _, _| false);
+        let look = layers.resident.matter.as_ref().unwrap().look();
+        let options = Options { lod: None, ..plain() };
+        let matter = layers.resident.matter.as_ref().unwrap();
+        let walk = Walk::new(matter, &look, &camera([-5.0, 1.0, 1.0], 90.0, 0.0), &options);
+        let (eye, dir) = (DVec3::new(-5.0, 0.9, 1.1), DVec3::new(1.0, 1e-9, -1e-9));
+        let fast = walk.light(eye, dir, f64::INFINITY);
+        let exact =
+            crate::cpu::exact_matter::integrate(&matter.levels[0], &look.optics, [false; 2], eye, dir, f64::INFINITY);
+        let left = (0.99999f64 * 0.99998).powi(50_000);
+        assert!((f64::from(exact.left) - left).abs() < 1e-6, "{exact:?} {left}");
+        assert!((fast.left - exact.left).abs() < 1e-3, "{fast:?} {exact:?}");
+        (0..3).for_each(|i| assert!((fast.color[i] - exact.color[i]).abs() < 0.5, "{fast:?} {exact:?}"));
+    }
 }

@@ -5,6 +5,7 @@
 //! the adapter's limits before memory is asked for.
 
 mod engine;
+mod matter;
 mod pool;
 pub mod present;
 pub mod shaders;
@@ -145,6 +146,8 @@ pub struct GpuRenderer {
     tops: Option<Tops>,
     /// The same of the first that is smooth, and along which axes its world repeats.
     surface: Option<(Tops, [bool; 2])>,
+    /// What translucent matter looks like on the device.
+    look: Option<Arc<crate::world::matter::Look>>,
     /// What was worked out for frames to come, in their order.
     prepared: VecDeque<Prepared>,
     /// Whether frames that are read back have depths.
@@ -328,9 +331,6 @@ impl GpuRenderer {
         mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
     ) -> Result<GpuRenderer> {
-        if resident.matter.is_some() {
-            return Err(Error::Device("the GPU does not draw translucent matter yet; use --device cpu".into()));
-        }
         if let Some(lanes) = options.lanes {
             let invocation = options.kernel == Kernel::Invocation;
             let fits =
@@ -371,6 +371,7 @@ impl GpuRenderer {
             spare: Vec::new(),
             tops: None,
             surface: None,
+            look: None,
             prepared: VecDeque::new(),
             depth: true,
             shown,
@@ -496,6 +497,14 @@ impl GpuRenderer {
         done: &dyn Fn(usize, Frame) -> Result<Option<Frame>>,
     ) -> Result<()> {
         assert!(self.pending.is_empty(), "frames on their way must be collected first");
+        if self.resident.matter.is_some() {
+            // Its tables are not made for each picture of a batch.
+            for (i, camera) in cameras.iter().enumerate() {
+                let frame = self.render(camera, options, outputs)?;
+                self.reuse(done(i, frame)?);
+            }
+            return Ok(());
+        }
         let mut from = 0;
         while from < cameras.len() {
             let mut pixels = 0;
@@ -726,6 +735,7 @@ impl GpuRenderer {
             self.plant()?;
         }
         self.upload(&upload, camera, options.ssao_samples);
+        let matter = self.matter(camera, options)?;
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let pass = (!plan.stage_times).then(|| self.pass(&mut encoder, "frame", 0).forget_lifetime());
@@ -749,6 +759,9 @@ impl GpuRenderer {
             }
         }
         self.shade(&mut recorder, &plan, order)?;
+        if matter {
+            self.compose(&mut recorder, &plan, order)?;
+        }
         let Recorder { pass, mut encoder } = recorder;
         drop(pass);
         if let Some(queries) = &self.queries {
@@ -1022,6 +1035,50 @@ impl GpuRenderer {
         {
             (frame.surface_levels, frame.surface_top) = (tops.levels.len() as u32, tops.top as f32);
         }
+        Ok(())
+    }
+
+    /// Sends the scene's translucent matter once, and what it looks like when that has changed. Whether there is any to see.
+    fn matter(&mut self, camera: &Camera, options: &Options) -> Result<bool> {
+        let Some(matter) = self.resident.matter.clone() else { return Ok(false) };
+        let look = matter.look();
+        if look.is_clear() {
+            return Ok(false);
+        }
+        let [nx, _, nz] = matter.levels[0].dims();
+        let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
+        if matter.bytes() > limit {
+            return Err(Error::Limit(format!(
+                "translucent matter of {} MiB: {} allows {} MiB (max_storage_buffer_binding_size); try --device cpu",
+                matter.bytes() >> 20,
+                self.engine.name,
+                limit >> 20
+            )));
+        }
+        // Spans of columns take turns, too.
+        if self.engine.software && u64::from(nx) + u64::from(nz) > MAX_STEPS_SOFTWARE / 8 {
+            return Err(Error::Limit(format!(
+                "translucent matter of {nx} × {nz} columns: too many for {}, try --device cpu",
+                self.engine.name
+            )));
+        }
+        if !self.buffers.contains_key("matter") {
+            self.send("matter", &matter::columns(&matter))?;
+        }
+        if self.look.as_ref().is_none_or(|known| !Arc::ptr_eq(known, &look)) {
+            self.send("matter_look", &matter::look(&matter, &look))?;
+            self.look = Some(look);
+        }
+        self.write("matter_look", bytemuck::cast_slice(&matter::frame(&matter, camera, options)));
+        Ok(true)
+    }
+
+    /// Records the stage that puts matter over the picture.
+    fn compose(&mut self, recorder: &mut Recorder, plan: &Plan, order: ByteOrder) -> Result<()> {
+        let bgra = f64::from(u8::from(order == ByteOrder::Bgra));
+        let pipeline = self.engine.pipeline("matter", &self.variant(&[]), &[("BGRA", bgra)])?;
+        let grid = [groups(plan.width, 8), groups(plan.height, 8)];
+        self.record(recorder, "matter", 2, |pass| self.dispatch(pass, &pipeline, &[], grid));
         Ok(())
     }
 

@@ -5,7 +5,7 @@
 //! its name that reads one element. Constants have their home in Rust and are written in front of every shader.
 
 use crate::cpu::remap::HOLE;
-use crate::cpu::{normal, refine, shade, shadow, smooth};
+use crate::cpu::{matter, normal, refine, shade, shadow, smooth};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
 use crate::world::tables::{BLOCK_SHIFT, EMPTY, UNPAINTED};
 use std::fmt::Write;
@@ -38,6 +38,7 @@ const FILES: &[(&str, &str)] = files![
     "gap_fill.wgsl",
     "shade.wgsl",
     "smooth.wgsl",
+    "matter.wgsl",
 ];
 
 /// The first binding of the scene's tables; those below are the shaders' own.
@@ -99,6 +100,7 @@ fn header() -> String {
     constant("SMOOTH_FIRST", format!("{}u", smooth::FIRST));
     constant("SMOOTH_SQUARE_SHIFT", format!("{}u", smooth::SQUARE_SHIFT));
     constant("SMOOTH_STEPS", format!("{}u", smooth::STEPS));
+    constant("MATTER_CLOSED", format!("{:?}f", matter::CLOSED));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
     constant("SKY_ZENITH", rgb(shade::SKY_ZENITH));
@@ -229,7 +231,7 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 9] = [
+    const STAGES: [&str; 10] = [
         "traverse_invocation",
         "traverse_workgroup",
         "raycast",
@@ -239,6 +241,7 @@ mod tests {
         "gap_fill",
         "shade",
         "smooth",
+        "matter",
     ];
 
     #[test]

@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use planecast_encoder::model::matter::{Classes, Matter, Mode, STEPS, extinction};
 use planecast_encoder::model::transfer::Transfer;
-use planecast_encoder::{About, Scene};
+use planecast_encoder::Scene;
 use rayon::prelude::*;
 
 /// Columns a side of a block whose heights with matter are kept.
@@ -132,10 +132,10 @@ fn rows_heights(rows: impl ParallelIterator<Item = [u32; 2]>) -> [u32; 2] {
 }
 
 impl SceneMatter {
-    /// That of a scene, whose classes a file says; None where there is none.
-    pub fn of(scene: &Scene, about: &About) -> Option<Arc<SceneMatter>> {
+    /// That of a scene; None where there is none.
+    pub fn of(scene: &Scene) -> Option<Arc<SceneMatter>> {
         let levels: Option<Vec<Arc<Matter>>> = scene.levels.iter().map(|level| level.matter.clone()).collect();
-        let (levels, classes) = (levels?, about.classes.clone()?);
+        let (levels, classes) = (levels?, scene.classes.clone()?);
         let look = RwLock::new(Arc::new(Look::new(&classes, &levels)));
         Some(Arc::new(SceneMatter { levels, classes, look }))
     }

@@ -17,7 +17,7 @@ use crate::world::matter::SceneMatter;
 use crate::{Error, Result};
 use bytemuck::Zeroable;
 use planecast_encoder::model::filled::{filled, starts};
-use planecast_encoder::{About, ColorMode, Columns, Level, Rgb, Run, Scene};
+use planecast_encoder::{ColorMode, Columns, Level, Rgb, Run, Scene};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
@@ -123,13 +123,7 @@ impl Resident {
             && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
         let levels = scene.levels.iter().map(|level| resident_level(level, scene, heights));
         let levels = levels.collect::<Result<_>>()?;
-        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new(), matter: None })
-    }
-
-    /// The same with what the scene's file says beside its voxels.
-    pub fn with_about(self, scene: &Scene, about: &About) -> Resident {
-        let matter = SceneMatter::of(scene, about);
-        Resident { matter, ..self.with_fractions(&about.fractions) }
+        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new(), matter: SceneMatter::of(scene) })
     }
 
     /// The same with what is known of the surface that a height field stands for.

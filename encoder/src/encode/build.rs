@@ -81,7 +81,7 @@ pub fn build(input: Input, opts: &BuildOptions) -> Result<Scene> {
             level
         })
         .collect();
-    Ok(Scene { encoding: opts.encoding, color, mip_rule: opts.mip_rule, levels })
+    Ok(Scene { encoding: opts.encoding, color, mip_rule: opts.mip_rule, levels, classes: None })
 }
 
 /// One colour an exposed voxel of level 0.

@@ -811,6 +811,7 @@ mod tests {
 
     use super::*;
     use crate::format::write::{write_scene, write_scene_with};
+    use crate::model::matter::{Class, Classes, Mode};
     use crate::model::pieces::{InMemory, RowColors, Rows};
     use crate::{ColumnsBuilder, Feature, MipRule, PcastFile, Run, build, testing};
 
@@ -863,6 +864,84 @@ mod tests {
             }
         }
         assert_eq!(names(dir.path()), ["a.pcast", "b.pcast"], "nothing else is left behind");
+    }
+
+    /// [`world`] with matter of three classes beside what is solid.
+    struct Hazy {
+        world: InMemory,
+        classes: Arc<Classes>,
+    }
+
+    fn hazy(window: Option<[f64; 2]>) -> Hazy {
+        let class = |k: u8| Class { color: [k; 3], opacity: 0.1 * f64::from(k), mode: Mode::Volumetric };
+        let classes = Arc::new(Classes { window, classes: (1..4).map(class).collect() });
+        let about = About { classes: Some(Arc::clone(&classes)), ..About::default() };
+        let matter = Matter::try_from_rows([520, 24, 515], |z, out| {
+            for x in 0..520 {
+                (0..24).for_each(|y| out.push(1, 8 * ((x / 2 + y * z / 90) % 9 / 2 % 4) as u16 * u16::from(x < 256 || z > 255)));
+                out.end_column();
+            }
+            Ok(())
+        });
+        Hazy { world: InMemory::new(testing::input(world(), true)).about(about).matter(matter.unwrap()), classes }
+    }
+
+    #[test]
+    fn encode_of_matter_gives_the_bytes_of_a_scene_in_memory_whatever_budget_and_parts() {
+        let dir = tempfile::tempdir().unwrap();
+        let (expected, found) = (dir.path().join("a.pcast"), dir.path().join("b.pcast"));
+        for (opts, window) in modes().zip([Some([0.0, 3.0]), None].into_iter().cycle()) {
+            let hazy = hazy(window);
+            let scene = build(testing::input(world(), true), &opts).unwrap();
+            let matter = hazy.world.matter(0..520, 0..515).unwrap().unwrap();
+            let scene = scene.with_matter(matter, Arc::clone(&hazy.classes));
+            write_scene(&scene, &expected).unwrap();
+            let bytes = std::fs::read(&expected).unwrap();
+            assert_eq!(bytes[8], 4);
+            for memory in [1 << 30, 1] {
+                encode(&hazy.world, &options(opts, memory), &found, &Watch::default()).unwrap();
+                assert!(std::fs::read(&found).unwrap() == bytes, "{opts:?} {memory} bytes");
+            }
+            let parts = [0..4, 4..9].map(|tiles| {
+                let part = dir.path().join(format!("{}.part", tiles.start));
+                encode_part(&hazy.world, &options(opts, 1), tiles, &part, &Watch::default()).unwrap();
+                part
+            });
+            merge(&parts, Some(1), None, &found, &Watch::default()).unwrap();
+            assert!(std::fs::read(&found).unwrap() == bytes, "{opts:?} parts");
+            let packed = EncodeOptions { compress: Some(1), ..options(opts, 1 << 30) };
+            encode(&hazy.world, &packed, &found, &Watch::default()).unwrap();
+            for path in [&expected, &found] {
+                let file = PcastFile::open(path).unwrap();
+                assert!(file.read_scene().unwrap() == scene, "{opts:?} {}", path.display());
+            }
+        }
+    }
+
+    #[test]
+    fn matter_with_a_byte_changed_is_refused_and_without_its_classes_the_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.pcast");
+        encode(&hazy(None).world, &EncodeOptions::default(), &path, &Watch::default()).unwrap();
+        let good = std::fs::read(&path).unwrap();
+        let file = PcastFile::from_bytes("a.pcast", good.clone()).unwrap();
+        let entry = file.entries()[0];
+        for at in [0, 4, 15, entry.len / 2, entry.len - 1] {
+            let mut bytes = good.clone();
+            bytes[(entry.offset + u64::from(at)) as usize] ^= 0x21;
+            let broken = PcastFile::from_bytes("a.pcast", bytes.clone()).unwrap();
+            assert!(broken.read_scene().is_err(), "byte {at}");
+            // With its checksum made right: an error, or something else to see, never a panic.
+            testing::reseal(&mut bytes);
+            if let Ok(scene) = PcastFile::from_bytes("a.pcast", bytes).and_then(|file| file.read_scene()) {
+                assert!(scene != file.read_scene().unwrap(), "byte {at}");
+            }
+        }
+        let tag = good.windows(4).position(|w| w == b"CLAS").unwrap();
+        let mut bytes = good;
+        bytes[tag] = b'X';
+        let error = PcastFile::from_bytes("a.pcast", bytes).err().unwrap().to_string();
+        assert!(error.contains("no classes (CLAS)"), "{error}");
     }
 
     /// Columns solid from 0 up: a plain, a plain of nothing, steps of one and of two bytes.

@@ -410,7 +410,12 @@ impl PcastFile {
     /// The scene that a level and all coarser ones are.
     pub(crate) fn read_scene_from(&self, level: usize) -> Result<Scene> {
         let levels = (level..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
-        Ok(Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels })
+        Ok(self.scene(levels))
+    }
+
+    fn scene(&self, levels: Vec<Level>) -> Scene {
+        let classes = self.about.classes.clone().filter(|_| self.has_matter());
+        Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels, classes }
     }
 
     /// What of the scene can be read, and what is wrong with the rest: broken tiles are empty. Beside them voxels
@@ -418,8 +423,7 @@ impl PcastFile {
     pub fn read_scene_without_broken(&self) -> Result<(Scene, Vec<Error>)> {
         let faults = Mutex::new(Vec::new());
         let levels = (0..self.grids.len()).map(|k| self.level(k, Some(&faults))).collect::<Result<_>>()?;
-        let scene = Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels };
-        Ok((scene, faults.into_inner().expect("no thread panics with it")))
+        Ok((self.scene(levels), faults.into_inner().expect("no thread panics with it")))
     }
 
     /// One level, whole; where there is a place for faults, with empty tiles instead of broken ones.

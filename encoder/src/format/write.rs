@@ -21,7 +21,6 @@ use crate::format::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, GROUP_SHIFTS, Heig
 use crate::format::metadata;
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
 use crate::model::exposure;
-#[cfg(not(target_arch = "wasm32"))]
 use crate::model::matter::Matter;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::store::passing::Unfinished;
@@ -90,7 +89,7 @@ pub fn write_scene(scene: &Scene, path: &Path) -> Result<()> {
     write_atomic(path, |out| write_scene_to(scene, out, path))
 }
 
-/// The same bytes into `out`, from its start. Of translucent matter it knows nothing: [`crate::encode::encode`] does. `path` is what errors call it.
+/// The same bytes into `out`, from its start. `path` is what errors call it.
 pub fn write_scene_to(scene: &Scene, out: &mut (impl Write + Seek), path: &Path) -> Result<()> {
     write_scene_with(scene, Features::ALL, out, path)
 }
@@ -109,7 +108,7 @@ pub fn write_scene_with(scene: &Scene, features: Features, out: &mut (impl Write
         return Err(Error::Argument(format!("the scene has {} levels, {} were expected", levels.len(), grids.len())));
     }
     let modes = Modes { encoding: scene.encoding, color: scene.color };
-    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule, &About::default())?;
+    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule, &About { classes: scene.classes.clone(), ..About::default() })?;
     let mut tiles = Vec::new();
     for level in &levels {
         let [across, along] = level.grid.tiles;
@@ -233,7 +232,6 @@ pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (Ti
 }
 
 /// A tile with its matter behind what is solid. An error is the number of bytes, beyond 32 bits.
-#[cfg(not(target_arch = "wasm32"))]
 pub(crate) fn with_matter(
     (mut entry, blob): (TileEntry, Vec<u8>),
     matter: &Matter,
@@ -307,12 +305,17 @@ impl<'a> LevelSource<'a> {
         }
         let tile = Level {
             solid: self.level.solid.crop(xs.clone(), zs.clone()),
-            exposed: Some(self.exposed.crop(xs, zs)),
+            exposed: Some(self.exposed.crop(xs.clone(), zs.clone())),
             colors,
             matter: None,
         };
         let modes = Modes { encoding: self.scene.encoding, color: self.scene.color };
-        tile_blob(&tile, modes, features).map_err(|len| too_long(self.k, tx, tz, len))
+        let matter = self.level.matter.as_ref().filter(|_| self.scene.classes.is_some()).map(|m| m.crop(xs, zs));
+        let made = tile_blob(&tile, modes, features).and_then(|made| match matter.filter(|m| !m.is_empty()) {
+            Some(matter) => with_matter(made, &matter),
+            None => Ok(made),
+        });
+        made.map_err(|len| too_long(self.k, tx, tz, len))
     }
 }
 

@@ -108,7 +108,7 @@ use crate::model::pieces::{self, Pieces};
 use crate::store::guard::Map;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::store::remote;
-use crate::{Error, Input, Result};
+use crate::{About, Error, Input, Result};
 
 pub use npy::{ArrayView, array};
 pub use relief::Exaggeration;
@@ -552,7 +552,19 @@ enum World<'a> {
     Pieces(Box<dyn Pieces>),
 }
 
-/// Reads an input whose file at `path` holds `bytes`.
+/// Reads an input whose file at `path` holds `bytes`, with its translucent matter, and what is known of it.
+pub fn read_all(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<(Input, Option<matter::Matter>, About)> {
+    let all = |world: &dyn Pieces| {
+        let [nx, _, nz] = world.dims();
+        Ok((pieces::whole(world)?, world.matter(0..nx, 0..nz)?, world.about()))
+    };
+    match find(path, bytes, false, opts)? {
+        World::Volume(volume) => all(&volume),
+        World::Pieces(pieces) => all(&*pieces),
+    }
+}
+
+/// Reads an input whose file at `path` holds `bytes`: what is solid of it.
 pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
     match find(path, bytes, false, opts)? {
         World::Volume(volume) => pieces::whole(&volume),
