@@ -232,7 +232,7 @@ fn walk(level: u32, begin: f32, stop: f32) -> bool {
                         end = f32((matter[ends + i - 1u] & 0xffffu) + 1u);
                     }
                     let last = select(end >= b, end <= b, down);
-                    var way = abs(select(end, b, last) - y) * per;
+                    var way = min(abs(select(end, b, last) - y) * per, all_);
                     if (last && y == a) {
                         way = all_;
                     }
@@ -263,12 +263,35 @@ fn walk(level: u32, begin: f32, stop: f32) -> bool {
     return true;
 }
 
+struct Drawn {
+    level: u32,
+    // Where the next begins.
+    next: f32,
+}
+
+// The level to draw at a distance.
+fn level_at(far: f32) -> Drawn {
+    let coarsest = matter_look[0];
+    let finest = bitcast<f32>(matter_look[1]);
+    if (coarsest == 0u) {
+        return Drawn(0u, F32_MAX);
+    }
+    var next = min(finest * 2.0, F32_MAX);
+    if (far < next) {
+        return Drawn(0u, next);
+    }
+    var level = clamp(u32(min(log2(far / finest), 31.0)), 1u, coarsest);
+    next = finest * exp2(f32(level + 1u));
+    if (next <= far && level < coarsest) {
+        level += 1u;
+        next *= 2.0;
+    }
+    return Drawn(level, select(next, F32_MAX, level == coarsest));
+}
+
 // All of the ray's way up to what is solid.
 fn look_along(ray: vec3<f32>, solid: f32) {
     let size = vec2<f32>(vec2(matter_look[6], matter_look[7]));
-    let heights = vec2<f32>(vec2(matter_look[2], matter_look[3]));
-    let coarsest = matter_look[0];
-    let finest = bitcast<f32>(matter_look[1]);
     dir = ray;
     unit = length(ray);
     let horizontal = length(ray.xz);
@@ -277,21 +300,33 @@ fn look_along(ray: vec3<f32>, solid: f32) {
     if (horizontal > 0.0) {
         end = min(end, frame.view_distance / horizontal);
     }
-    let low = vec3(0.0, heights.x, 0.0) - vec3<f32>(frame.eye_cell) - frame.eye_fract;
-    let high = vec3(size.x, heights.y, size.y) - vec3<f32>(frame.eye_cell) - frame.eye_fract;
-    let free = vec3(frame.repeat_x != 0u, false, frame.repeat_z != 0u);
+    let free = vec3(frame.repeat_x != 0u, frame.repeat_z != 0u, false);
+    let along = ray.xzy;
+    let eye = vec3<f32>(frame.eye_cell.xzy) + frame.eye_fract.xzy;
     for (var k = 0u; k < 3u; k++) {
         if (free[k]) {
             continue;
         }
-        if (ray[k] == 0.0) {
-            if (low[k] > 0.0 || high[k] <= 0.0) {
+        var low = 0.0;
+        var high = 0.0;
+        if (k == 2u) {
+            // Whole voxels of the level that is drawn up there.
+            let level = level_at(end).level;
+            low = f32((matter_look[2] >> level) << level);
+            high = f32(((matter_look[3] + (1u << level) - 1u) >> level) << level);
+        } else {
+            high = size[k];
+        }
+        low -= eye[k];
+        high -= eye[k];
+        if (along[k] == 0.0) {
+            if (low > 0.0 || high <= 0.0) {
                 return;
             }
             continue;
         }
-        let a = low[k] / ray[k];
-        let b = high[k] / ray[k];
+        let a = low / along[k];
+        let b = high / along[k];
         start = max(start, min(a, b));
         end = min(end, max(a, b));
     }
@@ -307,25 +342,9 @@ fn look_along(ray: vec3<f32>, solid: f32) {
     let stop = end - start;
     // A level follows another at most once.
     for (var turn = 0u; turn <= MAX_LEVELS; turn++) {
-        let far = start + t;
-        var level = 0u;
-        var next = F32_MAX;
-        if (coarsest > 0u) {
-            next = finest * 2.0;
-            if (far >= next) {
-                level = clamp(u32(log2(far / finest)), 1u, coarsest);
-                next = finest * exp2(f32(level + 1u));
-                if (next <= far && level < coarsest) {
-                    level += 1u;
-                    next *= 2.0;
-                }
-                if (level == coarsest) {
-                    next = F32_MAX;
-                }
-            }
-        }
-        let here = min(stop, next - start);
-        let open = walk(level, t, here);
+        let drawn = level_at(start + t);
+        let here = min(stop, drawn.next - start);
+        let open = walk(drawn.level, t, here);
         t = here;
         if (!open || t >= stop) {
             break;

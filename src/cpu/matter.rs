@@ -171,17 +171,18 @@ impl<'a> Walk<'a> {
     /// What the ray from `origin` along `dir` meets before `t_end`, in lengths of `dir`.
     fn light(&self, origin: DVec3, dir: DVec3, t_end: f64) -> Light {
         let [nx, _, nz] = self.matter.levels[0].dims().map(f64::from);
-        let heights = self.look.levels[0].heights.map(f64::from);
         let (mut start, mut end) = (0.0f64, t_end);
         let horizontal = dir.x.hypot(dir.z);
         if horizontal > 0.0 {
             end = end.min(self.view / horizontal);
         }
-        let sides = [(origin.x, dir.x, [0.0, nx], self.repeats[0]), (origin.y, dir.y, heights, false), (origin.z, dir.z, [0.0, nz], self.repeats[1])];
-        for (o, d, [low, high], repeats) in sides {
-            if repeats {
-                continue;
-            }
+        for k in 0..3 {
+            let (o, d, [low, high]) = match k {
+                0 if !self.repeats[0] => (origin.x, dir.x, [0.0, nx]),
+                1 if !self.repeats[1] => (origin.z, dir.z, [0.0, nz]),
+                2 => (origin.y, dir.y, self.heights(end as f32)),
+                _ => continue,
+            };
             if d == 0.0 {
                 if o < low || o >= high {
                     return Light::CLEAR;
@@ -218,12 +219,19 @@ impl<'a> Walk<'a> {
         }
     }
 
+    /// Between which heights matter is seen up to a distance: whole voxels of the level that is drawn there.
+    fn heights(&self, t: f32) -> [f64; 2] {
+        let level = self.level(t).0;
+        let [low, high] = self.look.levels[0].heights;
+        [f64::from(low >> level << level), (f64::from(high) / f64::from(1u32 << level)).ceil() * f64::from(1u32 << level)]
+    }
+
     /// The level to draw at a distance, and where the next begins.
     fn level(&self, t: f32) -> (u32, f32) {
         if t < self.finest * 2.0 || self.coarsest == 0 {
             return (0, if self.coarsest == 0 { f32::INFINITY } else { self.finest * 2.0 });
         }
-        let level = ((t / self.finest).log2() as u32).clamp(1, self.coarsest);
+        let level = ((t / self.finest).log2().min(31.0) as u32).clamp(1, self.coarsest);
         // The bound again, lest rounding make a step of nothing.
         let next = self.finest * (2u64 << level) as f32;
         match level == self.coarsest {
@@ -316,7 +324,7 @@ impl<'a> Walk<'a> {
                         let mut i = runs.partition_point(|r| r.end() as f32 <= a);
                         loop {
                             let (code, end) = runs.get(i).map_or((0, f32::INFINITY), |r| (r.code(), r.end() as f32));
-                            let len = if end >= b { if y == a { whole } else { (b - y) * per } } else { (end - y) * per };
+                            let len = if end >= b { if y == a { whole } else { ((b - y) * per).min(whole) } } else { ((end - y) * per).min(whole) };
                             if !ray.pass(code.into(), len, &self.entries) {
                                 return false;
                             }
@@ -331,7 +339,7 @@ impl<'a> Walk<'a> {
                         loop {
                             let code = runs.get(i).map_or(0, |r| r.code());
                             let from = if i == 0 { f32::NEG_INFINITY } else { runs[i - 1].end() as f32 };
-                            let len = if from <= b { if y == a { whole } else { (y - b) * per } } else { (y - from) * per };
+                            let len = if from <= b { if y == a { whole } else { ((y - b) * per).min(whole) } } else { ((y - from) * per).min(whole) };
                             if !ray.pass(code.into(), len, &self.entries) {
                                 return false;
                             }

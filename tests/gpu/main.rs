@@ -20,6 +20,7 @@ use planecast::{
     Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Normals, Options, Outputs, Planes,
     Remap, Repeat, Resident, Shading,
 };
+use planecast_encoder::model::matter::{Class, Classes, Matter, Mode};
 use planecast_encoder::source::procedural::{Kind, procedural};
 use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Scene, build};
 use std::sync::Arc;
@@ -96,6 +97,39 @@ fn agrees(what: &str, camera: &Camera, d: &Difference) {
     println!("{what} yaw {} pitch {} roll {}: {d}", camera.yaw, camera.pitch, camera.roll);
     let allowed = d.pixels / 500;
     assert!(d.voxel <= allowed && d.depth <= allowed && d.color <= allowed, "{what} {camera:?}: {d}");
+}
+
+#[test]
+fn matter_on_the_gpu_is_that_of_the_cpu() {
+    if !gpu_wanted() {
+        return;
+    }
+    let class = |k: u8, mode| Class { color: [90 * k, 40, 250 - 90 * k], opacity: 0.03 * f64::from(k + 1), mode };
+    let modes = [Mode::Volumetric, Mode::Surface, Mode::Additive];
+    for (window, repeats) in [(Some([0.0, 3.0]), false), (None, true)] {
+        let mode = |k: u8| if window.is_some() { Mode::Volumetric } else { modes[usize::from(k)] };
+        let classes = Arc::new(Classes { window, classes: (0..3).map(|k| class(k, mode(k))).collect() });
+        let scene = build(procedural(Kind::Rocks, 128, 7).unwrap(), &BuildOptions::default()).unwrap();
+        let [nx, ny, _] = scene.dims();
+        let matter = Matter::try_from_rows(scene.dims(), |z, out| {
+            for x in 0..nx {
+                (0..ny).for_each(|y| out.push(1, 8 * (((x / 9) ^ (y / 4) ^ (z / 7)) % 7).saturating_sub(3) as u16));
+                out.end_column();
+            }
+            Ok(())
+        });
+        let scene = Arc::new(scene.with_matter(matter.unwrap(), classes));
+        let world = World { resident: Arc::new(Resident::new(&scene)), scene };
+        let repeat = Repeat { x: repeats, z: repeats };
+        for options in [flat(), Options { lod: Some(6.0), sky: false, repeat, view_distance: 300.0, ..flat() }] {
+            against_cpu(&world, gpu_options(Kernel::Workgroup), &options, |camera, drawn, expected| {
+                let apart = |(a, b): (&[u8; 4], &[u8; 4])| (0..4).any(|i| a[i].abs_diff(b[i]) > 2);
+                let n = drawn.color.iter().zip(&expected.color).filter(|&pair| apart(pair)).count();
+                // Those of what is solid, too.
+                assert!(n <= drawn.color.len() / 200, "{window:?} {options:?} {camera:?}: {n} pixels");
+            });
+        }
+    }
 }
 
 #[test]

@@ -191,7 +191,7 @@ pub struct ReadOptions {
     /// only what --iso says
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub classes: Option<u16>,
-    /// Values that the steps of --classes divide; what is below is clear [default: least and greatest of a sample]
+    /// Values that the steps of --classes divide; what is no more than LO is clear [default: least and greatest of a sample]
     #[arg(long, value_name = "LO,HI", allow_negative_numbers = true, value_parser = parse_window, requires = "classes")]
     pub window: Option<[f64; 2]>,
     /// Water over what is lower, in the unit of a height map's values; of a procedural landscape in voxels

@@ -918,7 +918,7 @@ impl<'a> Volume<'a> {
         let Some([low, high]) = classes.window else { unreachable!("classes of values") };
         let (ny, width, n) = (self.dims[1], xs.len(), classes.classes.len());
         let per = n as f64 / (high - low);
-        let class = |v: f64| match v >= low {
+        let class = |v: f64| match v > low {
             true => (((v - low) * per) as usize).min(n - 1) as u16 + 1,
             // No number, too.
             false => 0,

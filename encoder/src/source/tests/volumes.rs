@@ -729,7 +729,7 @@ fn classes_are_steps_of_the_window_wherever_the_axes_point() {
                 at[2] = dims[2] - 1 - at[2];
             }
             let class = match scattered(i) {
-                0..=99 => 0,
+                0..=100 => 0,
                 v => (u16::from(v) - 100) / 25 + 1,
             };
             if at[0] > 0 {
