@@ -172,8 +172,8 @@ fn walk(level: u32, begin: f32, stop: f32) -> bool {
             block = now;
             mask = vec2(0xffffffffu);
             if (blocks) {
-                let of = vec2<u32>(whole(cell, size)) >> vec2(BLOCK_SHIFT);
-                let at = masks + 2u * (of.y * across + of.x);
+                let place = vec2<u32>(whole(cell, size)) >> vec2(BLOCK_SHIFT);
+                let at = masks + 2u * (place.y * across + place.x);
                 mask = vec2(matter_look[at], matter_look[at + 1u]);
             }
             let out = vec2(cross_at(0u, now.x, level + BLOCK_SHIFT), cross_at(1u, now.y, level + BLOCK_SHIFT));
@@ -203,8 +203,8 @@ fn walk(level: u32, begin: f32, stop: f32) -> bool {
         let along_x = next.x <= next.y;
         let leaves = min(min(next.x, next.y), stop);
         if (leaves > t) {
-            let of = vec2<u32>(whole(cell, size));
-            let column = offsets + of.y * u32(size.x) + of.x;
+            let place = vec2<u32>(whole(cell, size));
+            let column = offsets + place.y * u32(size.x) + place.x;
             let first = matter[column];
             let n = matter[column + 1u] - first;
             let a = y0 + t * dy;
