@@ -478,7 +478,10 @@ impl DecodeArgs {
         let output = Output::new(&self.output)?;
         let scene = read_scene(&open::scene(&self.scene)?, self.skip_broken)?;
         if scene.classes.is_some() {
-            crate::note!("note: {}: translucent matter is left out, the volume says what is solid", self.scene.display());
+            crate::note!(
+                "note: {}: translucent matter is left out, the volume says what is solid",
+                self.scene.display()
+            );
         }
         decode_to_raw(&scene, output.file())?;
         let made = Made::new(Some(&self.output), output.file());

@@ -17,10 +17,10 @@ use std::time::Instant;
 
 use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
-use planecast_encoder::model::transfer::Transfer;
 use planecast_encoder::cli::{InputArgs, Made};
 use planecast_encoder::format::write::{keep_input, resolved};
 use planecast_encoder::inspect::info;
+use planecast_encoder::model::transfer::Transfer;
 use planecast_encoder::source::ReadOptions;
 use planecast_encoder::store::guard;
 use planecast_encoder::{About, Error as FileError, Scene, note, say};

@@ -25,7 +25,8 @@ impl Ray {
         let extinction = optics.extinction;
         let share = match optics.mode {
             Mode::Surface => {
-                let goes_on = self.within.is_some_and(|(m, t)| m == optics.material && t0 - t <= 1e-9 * t0.abs().max(1.0));
+                let goes_on =
+                    self.within.is_some_and(|(m, t)| m == optics.material && t0 - t <= 1e-9 * t0.abs().max(1.0));
                 self.within = Some((optics.material, t1));
                 if goes_on { 0.0 } else { -(-extinction).exp_m1() }
             }
@@ -110,7 +111,8 @@ fn columns_along(
         let leaves = cross[k].min(end);
         if leaves > t {
             let column = [0, 1].map(|k| (o[k] + 0.5 * (t + leaves) * d[k]).floor() as i64);
-            let inside = [0, 1].map(|k| if repeats[k] { column[k].rem_euclid(size[k]) } else { column[k].clamp(0, size[k] - 1) });
+            let inside = [0, 1]
+                .map(|k| if repeats[k] { column[k].rem_euclid(size[k]) } else { column[k].clamp(0, size[k] - 1) });
             if !each((inside[1] * size[0] + inside[0]) as usize, t, leaves) {
                 return;
             }

@@ -120,7 +120,8 @@ impl Ray {
             (self.code, self.len) = (code, len);
         }
         let entry = &entries[code];
-        let under_way = if matches!(entry.mode, Mode::Volumetric | Mode::Emissive) { entry.extinction * self.len } else { 0.0 };
+        let under_way =
+            if matches!(entry.mode, Mode::Volumetric | Mode::Emissive) { entry.extinction * self.len } else { 0.0 };
         self.depth + under_way < CLOSED
     }
 
@@ -223,7 +224,10 @@ impl<'a> Walk<'a> {
     fn heights(&self, t: f32) -> [f64; 2] {
         let level = self.level(t).0;
         let [low, high] = self.look.levels[0].heights;
-        [f64::from(low >> level << level), (f64::from(high) / f64::from(1u32 << level)).ceil() * f64::from(1u32 << level)]
+        [
+            f64::from(low >> level << level),
+            (f64::from(high) / f64::from(1u32 << level)).ceil() * f64::from(1u32 << level),
+        ]
     }
 
     /// The level to draw at a distance, and where the next begins.
@@ -278,7 +282,10 @@ impl<'a> Walk<'a> {
                 // Where the world repeats, a block may end before eight columns.
                 let fits = [0, 1].map(|k| !self.repeats[k] || size[k] % (1 << BLOCK_SHIFT) == 0);
                 mask = match fits {
-                    [true, true] => look.blocks[(whole[1] >> BLOCK_SHIFT) as usize * look.across as usize + (whole[0] >> BLOCK_SHIFT) as usize],
+                    [true, true] => {
+                        look.blocks[(whole[1] >> BLOCK_SHIFT) as usize * look.across as usize
+                            + (whole[0] >> BLOCK_SHIFT) as usize]
+                    }
                     _ => u64::MAX,
                 };
                 let leaves = cross(0, now[0], level + BLOCK_SHIFT).min(cross(1, now[1], level + BLOCK_SHIFT)).min(stop);
@@ -291,7 +298,8 @@ impl<'a> Walk<'a> {
                     // On the line itself, rounding may leave it on this side.
                     for k in 0..2 {
                         if cell[k] >> BLOCK_SHIFT == now[k] && cross(k, now[k], level + BLOCK_SHIFT) <= t {
-                            cell[k] = if step[k] > 0 { (now[k] + 1) << BLOCK_SHIFT } else { (now[k] << BLOCK_SHIFT) - 1 };
+                            cell[k] =
+                                if step[k] > 0 { (now[k] + 1) << BLOCK_SHIFT } else { (now[k] << BLOCK_SHIFT) - 1 };
                         }
                         if !self.repeats[k] && !(0..size[k]).contains(&cell[k]) {
                             return true;
@@ -324,7 +332,11 @@ impl<'a> Walk<'a> {
                         let mut i = runs.partition_point(|r| r.end() as f32 <= a);
                         loop {
                             let (code, end) = runs.get(i).map_or((0, f32::INFINITY), |r| (r.code(), r.end() as f32));
-                            let len = if end >= b { if y == a { whole } else { ((b - y) * per).min(whole) } } else { ((end - y) * per).min(whole) };
+                            let len = if end >= b {
+                                if y == a { whole } else { ((b - y) * per).min(whole) }
+                            } else {
+                                ((end - y) * per).min(whole)
+                            };
                             if !ray.pass(code.into(), len, &self.entries) {
                                 return false;
                             }
@@ -339,7 +351,11 @@ impl<'a> Walk<'a> {
                         loop {
                             let code = runs.get(i).map_or(0, |r| r.code());
                             let from = if i == 0 { f32::NEG_INFINITY } else { runs[i - 1].end() as f32 };
-                            let len = if from <= b { if y == a { whole } else { ((y - b) * per).min(whole) } } else { ((y - from) * per).min(whole) };
+                            let len = if from <= b {
+                                if y == a { whole } else { ((y - b) * per).min(whole) }
+                            } else {
+                                ((y - from) * per).min(whole)
+                            };
                             if !ray.pass(code.into(), len, &self.entries) {
                                 return false;
                             }
@@ -468,12 +484,15 @@ mod tests {
     }
 
     fn speckle(n: u16) -> impl Fn(u32, u32, u32) -> u16 + Sync {
-        move |x, y, z| ((x / 2).wrapping_mul(31) ^ (y / 3).wrapping_mul(17) ^ (z / 2).wrapping_mul(57)) as u16 % 13 % (n + 1)
+        move |x, y, z| {
+            ((x / 2).wrapping_mul(31) ^ (y / 3).wrapping_mul(17) ^ (z / 2).wrapping_mul(57)) as u16 % 13 % (n + 1)
+        }
     }
 
     #[test]
     fn fog_that_fills_all_takes_by_the_length_of_the_way() {
-        let world = world([64; 3], None, vec![class([200, 100, 0], 0.02, Mode::Volumetric)], |_, _, _| 1, |_, _, _| false);
+        let world =
+            world([64; 3], None, vec![class([200, 100, 0], 0.02, Mode::Volumetric)], |_, _, _| 1, |_, _, _| false);
         // From outside, along z through all 64 voxels; from the middle through half of them.
         for (eye, way) in [([32.0, 32.0, 100.0], 64.0), ([32.0, 32.0, 32.0], 32.0)] {
             let taken = 1.0 - 0.98f64.powf(way);
@@ -487,8 +506,9 @@ mod tests {
 
     #[test]
     fn pictures_are_those_of_exact_integration() {
-        let classes: Vec<Class> =
-            (0..4).map(|k| class([60 * k, 200, 255 - 60 * k], [0.004, 0.03, 0.2, 0.9][usize::from(k)], Mode::Volumetric)).collect();
+        let classes: Vec<Class> = (0..4)
+            .map(|k| class([60 * k, 200, 255 - 60 * k], [0.004, 0.03, 0.2, 0.9][usize::from(k)], Mode::Volumetric))
+            .collect();
         let solid = |x: u32, y: u32, z: u32| (x / 9 + y / 5 + z / 7) % 5 == 0 && (x + z) % 3 > 0;
         let world = world([43, 57, 38], Some([0.0, 4.0]), classes, speckle(4), solid);
         for (eye, yaw, pitch) in [
@@ -514,7 +534,8 @@ mod tests {
 
     #[test]
     fn coarser_levels_take_as_much_as_what_they_are_made_of() {
-        let classes = vec![class([250, 250, 250], 0.002, Mode::Volumetric), class([20, 80, 160], 0.02, Mode::Volumetric)];
+        let classes =
+            vec![class([250, 250, 250], 0.002, Mode::Volumetric), class([20, 80, 160], 0.02, Mode::Volumetric)];
         let world = world([64; 3], Some([0.0, 2.0]), classes, speckle(2), |_, _, _| false);
         let camera = camera([32.0, 32.0, 400.0], 0.0, 0.0);
         let [coarse, exact] = both(&world, &Camera { fov: 12.0, ..camera }, &Options { lod: Some(16.0), ..plain() });
@@ -530,7 +551,9 @@ mod tests {
         let input = Input { columns: Columns::from_fn(32, 24, 32, hills), colors: Colors::None, notes: Vec::new() };
         let opaque = World::of_input(Path::new("opaque"), input).unwrap();
         let camera = camera([16.0, 30.0, 60.0], 5.0, -20.0);
-        for (a, b) in both(&clear, &camera, &Options::default()).iter().zip(&both(&opaque, &camera, &Options::default())) {
+        for (a, b) in
+            both(&clear, &camera, &Options::default()).iter().zip(&both(&opaque, &camera, &Options::default()))
+        {
             assert!(a.color == b.color && a.depth == b.depth);
         }
         let wall = vec![class([10, 20, 30], 1.0, Mode::Volumetric)];

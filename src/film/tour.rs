@@ -437,7 +437,13 @@ mod tests {
 
     fn scene(solid: Columns) -> Scene {
         let level = Level { solid, exposed: None, colors: Vec::new(), matter: None };
-        Scene { encoding: Encoding::Solid, color: ColorMode::None, mip_rule: MipRule::Any, levels: vec![level], classes: None }
+        Scene {
+            encoding: Encoding::Solid,
+            color: ColorMode::None,
+            mip_rule: MipRule::Any,
+            levels: vec![level],
+            classes: None,
+        }
     }
 
     fn view(fov: f64, size: [u32; 2], repeat: Repeat) -> View {

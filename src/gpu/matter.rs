@@ -7,9 +7,9 @@
 //!              | optics 6 words a code: r, g, b, extinction (f32), mode, material | masks, two words a block
 //! ```
 
+use crate::cpu::matter::{coarsest, finest};
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
-use crate::cpu::matter::{coarsest, finest};
 use crate::world::matter::{Look, SceneMatter};
 
 /// Words of the header.

@@ -3,9 +3,9 @@
 
 use std::sync::{Arc, PoisonError, RwLock};
 
+use planecast_encoder::Scene;
 use planecast_encoder::model::matter::{Classes, Matter, Mode, STEPS, extinction};
 use planecast_encoder::model::transfer::Transfer;
-use planecast_encoder::Scene;
 use rayon::prelude::*;
 
 /// Columns a side of a block whose heights with matter are kept.
@@ -84,7 +84,8 @@ fn optics(classes: &Classes, code: u16) -> Optics {
     let below = (k > 0).then(|| whole(k));
     let above = (part > 0.0).then(|| whole(k + 1));
     let (mut color, mut sum) = ([0.0; 3], 0.0);
-    for ((of, extinction, _), share) in [below.map(|b| (b, 1.0 - part)), above.map(|a| (a, part))].into_iter().flatten() {
+    for ((of, extinction, _), share) in [below.map(|b| (b, 1.0 - part)), above.map(|a| (a, part))].into_iter().flatten()
+    {
         let weight = extinction * share;
         sum += weight;
         (0..3).for_each(|i| color[i] += weight * of[i]);

@@ -123,7 +123,14 @@ impl Resident {
             && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
         let levels = scene.levels.iter().map(|level| resident_level(level, scene, heights));
         let levels = levels.collect::<Result<_>>()?;
-        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new(), matter: SceneMatter::of(scene) })
+        Ok(Resident {
+            dims: scene.dims(),
+            color: scene.color,
+            levels,
+            heights,
+            fractions: Vec::new(),
+            matter: SceneMatter::of(scene),
+        })
     }
 
     /// The same with what is known of the surface that a height field stands for.
@@ -148,7 +155,9 @@ impl Resident {
             };
             (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
         };
-        self.levels.iter().map(level).sum::<u64>() + self.fractions.len() as u64 + self.matter.as_ref().map_or(0, |m| m.bytes())
+        self.levels.iter().map(level).sum::<u64>()
+            + self.fractions.len() as u64
+            + self.matter.as_ref().map_or(0, |m| m.bytes())
     }
 }
 

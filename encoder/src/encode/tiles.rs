@@ -484,7 +484,8 @@ impl Tiles {
             tiles.finished(0, tx, tz, tile)
         })?;
         let of_matter = matter.as_ref().map_or(0, Matter::bytes);
-        let bytes = columns.bytes() + exposed.bytes() + of_matter + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
+        let bytes =
+            columns.bytes() + exposed.bytes() + of_matter + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
         // Half as much again for what comes and goes on the way.
         Ok(bytes as f64 * 1.5 / (xs.len() as f64 * zs.len() as f64))
     }
@@ -878,7 +879,9 @@ mod tests {
         let about = About { classes: Some(Arc::clone(&classes)), ..About::default() };
         let matter = Matter::try_from_rows([520, 24, 515], |z, out| {
             for x in 0..520 {
-                (0..24).for_each(|y| out.push(1, 8 * ((x / 2 + y * z / 90) % 9 / 2 % 4) as u16 * u16::from(x < 256 || z > 255)));
+                (0..24).for_each(|y| {
+                    out.push(1, 8 * ((x / 2 + y * z / 90) % 9 / 2 % 4) as u16 * u16::from(x < 256 || z > 255))
+                });
                 out.end_column();
             }
             Ok(())

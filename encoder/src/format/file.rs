@@ -19,7 +19,9 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::format::column_rle::{self, Form};
 use crate::format::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, edges, n_edges};
 use crate::format::metadata;
-use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, MATTER, SPECIALIZED, Section, TileEntry};
+use crate::format::{
+    self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, MATTER, SPECIALIZED, Section, TileEntry,
+};
 use crate::model::exposure;
 use crate::model::filled::{filled, starts};
 use crate::model::matter::Matter;
@@ -195,7 +197,10 @@ impl PcastFile {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
         }
         if about.classes.is_none() && entries.iter().any(|e| e.flags & MATTER != 0) {
-            return wrong(size_of::<Header>(), "metadata: no classes (CLAS) of the translucent matter that tiles hold".into());
+            return wrong(
+                size_of::<Header>(),
+                "metadata: no classes (CLAS) of the translucent matter that tiles hold".into(),
+            );
         }
         let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
         Ok(PcastFile {

@@ -108,7 +108,14 @@ pub fn write_scene_with(scene: &Scene, features: Features, out: &mut (impl Write
         return Err(Error::Argument(format!("the scene has {} levels, {} were expected", levels.len(), grids.len())));
     }
     let modes = Modes { encoding: scene.encoding, color: scene.color };
-    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule, &About { classes: scene.classes.clone(), ..About::default() })?;
+    let mut file = SceneWriter::new(
+        out,
+        path,
+        scene.dims(),
+        modes,
+        scene.mip_rule,
+        &About { classes: scene.classes.clone(), ..About::default() },
+    )?;
     let mut tiles = Vec::new();
     for level in &levels {
         let [across, along] = level.grid.tiles;

@@ -335,7 +335,10 @@ impl Matter {
         for ix in 0..n_columns {
             let (end, before) = (word(4 * ix), offsets[ix]);
             if end < before || end as usize > n_runs {
-                return Err((4 * ix, format!("matter of column {ix} ends at run {end}, {before} to {n_runs} were expected")));
+                return Err((
+                    4 * ix,
+                    format!("matter of column {ix} ends at run {end}, {before} to {n_runs} were expected"),
+                ));
             }
             offsets.push(end);
         }

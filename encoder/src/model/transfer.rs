@@ -42,7 +42,10 @@ impl Transfer {
             return Err(format!("{} points, 1 to {MAX_POINTS} were expected", points.len()));
         }
         if let Some(p) = points.iter().find(|p| !p.value.is_finite() || !(0.0..=1.0).contains(&p.opacity)) {
-            return Err(format!("value {}, opacity {}: a number and a share from 0 to 1 were expected", p.value, p.opacity));
+            return Err(format!(
+                "value {}, opacity {}: a number and a share from 0 to 1 were expected",
+                p.value, p.opacity
+            ));
         }
         if let Some(pair) = points.windows(2).find(|pair| pair[0].value > pair[1].value) {
             return Err(format!("value {} after {}: values that ascend were expected", pair[1].value, pair[0].value));
@@ -55,7 +58,11 @@ impl Transfer {
         let point = |i: usize| {
             let value = i as f64 / 8.0;
             let grey = |low: f64, high: f64| (low + (high - low) * value).round() as u8;
-            Point { value, color: [grey(150.0, 255.0), grey(80.0, 247.0), grey(60.0, 232.0)], opacity: 0.2 * value * value }
+            Point {
+                value,
+                color: [grey(150.0, 255.0), grey(80.0, 247.0), grey(60.0, 232.0)],
+                opacity: 0.2 * value * value,
+            }
         };
         Transfer { points: (0..=8).map(point).collect(), shares: true, left_out: Vec::new() }
     }
@@ -109,8 +116,12 @@ impl Transfer {
                     (1.0, [255, 244, 226], 0.4),
                 ],
             ),
-            ("smoke", _) => of(true, &[(0.0, [96, 92, 90], 0.0), (0.3, [128, 126, 124], 0.02), (1.0, [196, 194, 192], 0.2)]),
-            ("cloud", _) => of(true, &[(0.0, [214, 224, 240], 0.0), (0.4, [236, 240, 248], 0.05), (1.0, [255, 255, 255], 0.3)]),
+            ("smoke", _) => {
+                of(true, &[(0.0, [96, 92, 90], 0.0), (0.3, [128, 126, 124], 0.02), (1.0, [196, 194, 192], 0.2)])
+            }
+            ("cloud", _) => {
+                of(true, &[(0.0, [214, 224, 240], 0.0), (0.4, [236, 240, 248], 0.05), (1.0, [255, 255, 255], 0.3)])
+            }
             _ => None,
         }
     }
@@ -120,7 +131,8 @@ impl Transfer {
     /// # Errors
     /// A sentence that says what was expected.
     pub fn parse(text: &str) -> Result<Transfer, String> {
-        let json: Value = serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| format!("no JSON: {e}"))?;
+        let json: Value =
+            serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| format!("no JSON: {e}"))?;
         let Some(list) = json.as_array() else {
             return Err("expected a JSON list of {\"value\", \"color\", \"opacity\"}".to_owned());
         };
@@ -175,7 +187,10 @@ impl Transfer {
         }
         let path = std::path::Path::new(name);
         if !name.contains(['.', '/', '\\']) && !path.exists() {
-            return Err(Error::Argument(format!("--transfer {name}: expected a JSON file, or one of {}", PRESETS.join(", "))));
+            return Err(Error::Argument(format!(
+                "--transfer {name}: expected a JSON file, or one of {}",
+                PRESETS.join(", ")
+            )));
         }
         let size = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?.len();
         if size > 16 << 20 {
@@ -191,7 +206,8 @@ fn point(i: usize, of: &Value) -> Result<Point, String> {
         of.get(name).and_then(Value::as_f64).ok_or_else(|| format!("point {i}: expected a number as {name:?}"))
     };
     let color = of.get("color").and_then(color);
-    let color = color.ok_or_else(|| format!("point {i}: expected \"color\" as \"#rrggbb\" or [r, g, b] from 0 to 255"))?;
+    let color =
+        color.ok_or_else(|| format!("point {i}: expected \"color\" as \"#rrggbb\" or [r, g, b] from 0 to 255"))?;
     Ok(Point { value: number("value")?, color, opacity: number("opacity")? })
 }
 
@@ -267,7 +283,8 @@ mod tests {
 
     #[test]
     fn points_are_joined_by_straight_lines_in_the_data_s_unit() {
-        let text = r##"[{"value": 100, "color": "#204060", "opacity": 0.5}, {"value": 0, "color": [0, 0, 0], "opacity": 0}]"##;
+        let text =
+            r##"[{"value": 100, "color": "#204060", "opacity": 0.5}, {"value": 0, "color": [0, 0, 0], "opacity": 0}]"##;
         let transfer = Transfer::parse(text).unwrap();
         let classes = transfer.classes([0.0, 200.0], 4);
         let found: Vec<_> = classes.classes.iter().map(|c| (c.color, c.opacity)).collect();

@@ -398,7 +398,8 @@ fn flooded(world: Box<dyn Pieces>, opts: &ReadOptions) -> Box<dyn Pieces> {
     if opts.classes.is_some() {
         about.left_out.push("--classes: it is for volumes".to_owned());
     }
-    let Some(level) = opts.water.map(|height| height.clamp(0.0, MAX_HEIGHT as f64) as u32).filter(|&level| level > 0) else {
+    let Some(level) = opts.water.map(|height| height.clamp(0.0, MAX_HEIGHT as f64) as u32).filter(|&level| level > 0)
+    else {
         return world;
     };
     about.kind = Some(crate::model::about::Kind::Procedural);
