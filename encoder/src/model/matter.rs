@@ -565,7 +565,7 @@ mod tests {
         let classes = Classes { window: None, classes: vec![class(0.5), class(0.75)] };
         assert_eq!(classes.mixed([8; 8]), 8);
         assert_eq!(classes.mixed([8, 8, 8, 8, 0, 0, 0, 0]), 4);
-        assert_eq!(classes.mixed([8, 8, 16, 0, 0, 0, 0, 0]), 2);
+        assert_eq!(classes.mixed([8, 8, 16, 0, 0, 0, 0, 0]), 4);
         assert_eq!(classes.mixed([16, 16, 8, 8, 0, 0, 0, 0]), 8 + 3);
         assert_eq!(classes.mixed([0; 8]), 0);
     }
