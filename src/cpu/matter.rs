@@ -518,9 +518,14 @@ mod tests {
             ([20.0, -30.0, 19.0], 0.0, 90.0),
             ([-30.0, 28.0, 20.0], 90.0, 0.0),
         ] {
-            let [fast, exact] = both(&world, &camera(eye, yaw, pitch), &plain());
-            let (mean, most) = difference(&fast, &exact);
-            assert!(mean < 0.1 && most <= 2, "{eye:?}: mean {mean}, most {most}");
+            let options = Options { lod: None, ..plain() };
+            let [fast, exact] = both(&world, &camera(eye, yaw, pitch), &options);
+            // Where planes show another voxel than a ray there is another colour behind.
+            let pairs = fast.color.iter().zip(&exact.color).zip(fast.depth.iter().zip(&exact.depth));
+            let same: Vec<_> = pairs.filter(|(_, (a, b))| *a == *b || (*a - *b).abs() < 1e-2).map(|(c, _)| c).collect();
+            assert!(same.len() * 50 > fast.color.len() * 49, "{eye:?}: {} pixels", same.len());
+            let most = same.iter().flat_map(|(a, b)| (0..4).map(|i| a[i].abs_diff(b[i]))).max();
+            assert!(most <= Some(2), "{eye:?}: {most:?}");
         }
         let round = Camera { width: 64, height: 32, ..camera([20.0, 60.0, 20.0], 10.0, 0.0) };
         let options = Options { projection: Projection::Equirect, ..plain() };
@@ -539,8 +544,10 @@ mod tests {
         let world = world([64; 3], Some([0.0, 2.0]), classes, speckle(2), |_, _, _| false);
         let camera = camera([32.0, 32.0, 400.0], 0.0, 0.0);
         let [coarse, exact] = both(&world, &Camera { fov: 12.0, ..camera }, &Options { lod: Some(16.0), ..plain() });
-        let (mean, _) = difference(&coarse, &exact);
-        assert!(mean > 0.0 && mean < 3.0, "{mean}");
+        let mean =
+            |frame: &Frame| frame.color.as_flattened().iter().map(|&v| f64::from(v)).sum::<f64>() / (4.0 * 65.0 * 49.0);
+        let (a, b) = (mean(&coarse), mean(&exact));
+        assert!(coarse.color != exact.color && (a - b).abs() < 3.0, "{a} {b}");
     }
 
     #[test]
