@@ -1285,6 +1285,12 @@ impl ReportArgs {
         let Some(scene) = &self.scene else {
             return self.stability();
         };
+        let choice = self.choice(scene, &mut tell)?;
+        choice.map_or(Ok(()), |text| print(&(text + "\n")))
+    }
+
+    /// What was chosen, if a choice was asked for.
+    fn choice(&self, scene: &FilePath, tell: &mut dyn FnMut(&str)) -> Result<Option<String>> {
         let path = self.path.as_ref().map(|file| Path::read(file, self.fov)).transpose()?;
         let job = report::Job {
             folder: &self.output,
@@ -1302,8 +1308,7 @@ impl ReportArgs {
             budget_ms: self.budget_ms,
             max_error: self.max_error,
         };
-        let choice = report::report(scene, &self.input.read, &job, &mut tell)?;
-        choice.map_or(Ok(()), |text| print(&(text + "\n")))
+        report::report(scene, &self.input.read, &job, tell)
     }
 
     fn stability(&self) -> Result<()> {

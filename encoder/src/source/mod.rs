@@ -11,6 +11,7 @@
 //! | `stack` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
 //! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
+//! | `blocks` | arrays that others read block by block | as NPY |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
 //! | `kv6` | kv6, kvx, Slab6's `.vox` | (x, D−1−z, y) |
@@ -48,6 +49,7 @@
 //! | PCD packed by LZF | the points, unpacked | 88 times the file |
 
 mod binvox;
+mod blocks;
 mod cells;
 mod dem;
 #[cfg(feature = "dicom")]
@@ -109,6 +111,7 @@ use crate::store::guard::Map;
 use crate::store::remote;
 use crate::{Error, Input, Result};
 
+pub use blocks::{BlockArray, Blocks, blocks};
 pub use npy::{ArrayView, array};
 pub use relief::Exaggeration;
 
@@ -505,7 +508,7 @@ fn dicom_series(path: &Path, _: &[PathBuf], _: &ReadOptions) -> Result<volume::V
 
 #[cfg(feature = "zarr")]
 fn zarr_folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
-    Ok(Box::new(zarr::read(path, opts)?))
+    zarr::read(path, opts)
 }
 
 #[cfg(not(feature = "zarr"))]
