@@ -10,8 +10,11 @@
 //!
 //! All is integer arithmetic of 32 bits that wraps ([`noise`]), so that everybody makes the same bytes.
 
+mod blend;
 mod hills;
+mod land;
 mod make;
+mod mixing;
 pub mod noise;
 pub mod octaves;
 mod window;
@@ -25,13 +28,25 @@ use crate::model::pieces::Pieces;
 use crate::model::tiles::{TileKey, TileSource, tile_size};
 use crate::{ColorMode, Error, Level, Result, Rgb};
 
+pub use blend::Blend;
 pub use hills::Hills;
+pub use land::Land;
+pub use mixing::Mixing;
 
 /// Columns of a world along x and z.
 pub const SIDE: u32 = 1 << 30;
 
 /// Worlds without end that have a name.
-pub const NAMES: [&str; 1] = ["hills"];
+///
+/// | name | world | high |
+/// |---|---|---|
+/// | `hills` | mountains, plains and lakes: one height a column | 1,024 |
+/// | `terrain` | overhangs, caves, a few floating rocks | 512 |
+/// | `rocks` | smooth land under many floating rocks | 512 |
+/// | `clouds` | hills under a shell of clouds | 768 |
+/// | `mixing` | turbulent mixing layer (Richtmyer–Meshkov-like) | 512 |
+/// | `regions` | `terrain` here, `rocks` there, by a mask | 512 |
+pub const NAMES: [&str; 6] = ["hills", "terrain", "rocks", "clouds", "mixing", "regions"];
 
 /// Values from `least` to `most`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,14 +85,42 @@ pub fn middle(v: u32, level: u32) -> u32 {
     v.wrapping_mul(2).wrapping_add(1) << level
 }
 
+/// Where voxel `y` of a column of a level is looked at, in half voxels of level 0: at its middle, and the lowest at its bottom, so that
+/// ground has no holes however coarse the level.
+#[inline(always)]
+pub fn height(y: u32, level: u32) -> u32 {
+    if y == 0 { 1 } else { middle(y, level) }
+}
+
+/// A box of voxels of a level, at most [`Cells::MOST`] along each side.
+#[derive(Clone, Copy, Debug)]
+pub struct Cells {
+    pub level: u32,
+    pub from: [u32; 3],
+    pub size: [u32; 3],
+}
+
+impl Cells {
+    pub const MOST: usize = 64;
+
+    /// Where voxel number `i` of the box along an axis is looked at, in half voxels of level 0.
+    #[inline(always)]
+    pub fn middle(&self, axis: usize, i: u32) -> u32 {
+        let at = self.from[axis].wrapping_add(i);
+        if axis == 1 { height(at, self.level) } else { middle(at, self.level) }
+    }
+}
+
 /// A voxel with an exposed face, to be coloured.
 #[derive(Clone, Copy, Debug)]
 pub struct Spot {
     pub level: u32,
-    /// Its middle, in half voxels of level 0.
+    /// Where it is looked at, in half voxels of level 0.
     pub at: [u32; 3],
     /// Voxels of level 0 that its run goes on above it.
     pub depth: u32,
+    /// Whether a column beside it is three voxels of the level higher.
+    pub steep: bool,
 }
 
 /// A world as a function: solid where it is above 0.
@@ -85,11 +128,41 @@ pub trait Density: Send + Sync {
     /// Voxels of level 0 that columns are high, up to 65,536.
     fn height(&self) -> u32;
 
-    /// At a voxel of a level, whose middle `p` is in half voxels of level 0. May leave out what the level cannot show.
+    /// At a voxel of a level, which is looked at at `p`, half voxels of level 0. May leave out what the level cannot show.
     fn value(&self, p: [u32; 3], level: u32) -> i32;
 
     /// All values of all levels in a part of the world, or more.
     fn bounds(&self, part: &Part) -> Interval;
+
+    /// What the columns of an area have in common for all their voxels, [`Density::n_shared`] numbers each: made once, and
+    /// given to the functions that follow.
+    fn shared(&self, area: &Area) -> Vec<i32> {
+        let _ = area;
+        Vec::new()
+    }
+
+    /// How many numbers of each column [`Density::shared`] gives.
+    fn n_shared(&self) -> usize {
+        0
+    }
+
+    /// All values in a box of voxels of a level, or more. `shared` are the numbers of its columns, by rows of x.
+    fn bounds_in(&self, shared: &[i32], cells: &Cells) -> Interval {
+        let _ = shared;
+        let end = |axis: usize| cells.middle(axis, cells.size[axis] - 1);
+        let from = [0, 1, 2].map(|axis| cells.middle(axis, 0));
+        self.bounds(&Part { from, to: [end(0), end(1), end(2)] })
+    }
+
+    /// The values of a box of voxels of a level, `(z·nx + x)·ny + y`: those of [`Density::value`].
+    fn fill(&self, shared: &[i32], cells: &Cells, values: &mut [i32]) {
+        let _ = shared;
+        let [nx, ny, _] = cells.size;
+        for (i, value) in (0..).zip(values) {
+            let at = [i / ny % nx, i % ny, i / ny / nx];
+            *value = self.value([0, 1, 2].map(|axis| cells.middle(axis, at[axis])), cells.level);
+        }
+    }
 
     /// Of columns that are solid from the ground up: how high each of an area is, in voxels of its level. None where there are
     /// others.
@@ -190,7 +263,7 @@ impl<D: Density> TileSource for Producer<D> {
             return Err(Error::Argument(format!("{}: there is no tile ({x}, {z}) of level {level}", self.name)));
         }
         let [xs, zs] = self.columns(key);
-        make::level(&self.density, key.level, xs, zs)
+        Ok(make::level(&self.density, key.level, xs, zs))
     }
 }
 
@@ -245,11 +318,33 @@ fn asked(name: &str) -> Result<Option<Asked>> {
 /// a window, which is to be encoded.
 pub fn from_name(name: &str) -> Result<Option<Arc<dyn TileSource>>> {
     let Some(asked) = asked(name)?.filter(|asked| asked.window.is_none()) else { return Ok(None) };
-    let name = format!("procedural:{name}");
-    Ok(Some(match asked.name.as_str() {
-        "hills" => Arc::new(Producer::new(name, Hills::new(asked.seed))),
-        _ => unreachable!("names are checked"),
-    }))
+    struct AsTiles(String);
+    impl Make for AsTiles {
+        type Made = Arc<dyn TileSource>;
+        fn make(self, density: impl Density + 'static) -> Arc<dyn TileSource> {
+            Arc::new(Producer::new(self.0, density))
+        }
+    }
+    Ok(Some(named(&asked, AsTiles(format!("procedural:{name}")))))
+}
+
+/// Something that any density can be made into.
+trait Make {
+    type Made;
+    fn make(self, density: impl Density + 'static) -> Self::Made;
+}
+
+fn named<M: Make>(asked: &Asked, make: M) -> M::Made {
+    let seed = asked.seed;
+    match asked.name.as_str() {
+        "hills" => make.make(Hills::new(seed)),
+        "terrain" => make.make(Land::terrain(seed)),
+        "rocks" => make.make(Land::rocks(seed)),
+        "clouds" => make.make(Land::clouds(seed)),
+        "mixing" => make.make(Mixing::new(seed)),
+        "regions" => make.make(Blend::new(Land::terrain(seed), Land::rocks(seed), seed, 12)),
+        name => unreachable!("{name} is none of the names"),
+    }
 }
 
 /// The window of a world without end that a name asks for, as `hills?size=inf&window=0,0,512,512`; None where it asks for a scene that is
@@ -262,10 +357,14 @@ pub fn window(name: &str) -> Result<Option<Box<dyn Pieces>>> {
              &window=X,Z,W,D"
         )));
     };
-    Ok(Some(match asked.name.as_str() {
-        "hills" => Box::new(window::Window::new(Hills::new(asked.seed), window)),
-        _ => unreachable!("names are checked"),
-    }))
+    struct AsPieces([u32; 4]);
+    impl Make for AsPieces {
+        type Made = Box<dyn Pieces>;
+        fn make(self, density: impl Density + 'static) -> Box<dyn Pieces> {
+            Box::new(window::Window::new(density, self.0))
+        }
+    }
+    Ok(Some(named(&asked, AsPieces(window))))
 }
 
 #[cfg(test)]
@@ -282,13 +381,26 @@ mod tests {
     fn producers_tiles_are_those_of_an_encoded_window() {
         for name in NAMES {
             let world = world(&format!("{name}?size=inf&seed=3"));
-            let [x, z] = [SIDE / 2, SIDE / 2 + 512];
-            let pieces = window(&format!("{name}?size=inf&seed=3&window={},{},768,300", x - 256, z)).unwrap().unwrap();
+            // The window's first row is the tile's, at the world's begin: both have a side there.
+            let [x, z] = [SIDE / 2, 0];
+            let pieces = window(&format!("{name}?size=inf&seed=3&window={},{},768,257", x - 256, z)).unwrap().unwrap();
             let opts = BuildOptions { color: Some(world.color()), mip_rule: MipRule::Majority, ..Default::default() };
             let scene = build(crate::model::pieces::whole(&*pieces).unwrap(), &opts).unwrap();
             let tile = world.tile(TileKey { level: 0, x: x / TILE, z: z / TILE }).unwrap();
             assert_eq!(scene.dims()[1], world.dims()[1]);
             assert_eq!(scene.levels[0].solid.crop(256..512, 0..256), tile.solid, "{name}");
+            let offsets = |c: &crate::Columns, z: u32| c.voxel_offsets()[(z * 768 + 256) as usize] as usize;
+            if world.color() == ColorMode::Voxel {
+                let exposed = scene.levels[0].exposed.as_ref().unwrap();
+                let tiles = tile.exposed.as_ref().unwrap();
+                assert_eq!(&exposed.crop(256..512, 0..256), tiles, "{name}");
+                let n = tiles.voxel_offsets();
+                for z in 0..256 {
+                    let own = n[z as usize * 256] as usize..n[(z as usize + 1) * 256] as usize;
+                    let colors = &scene.levels[0].colors[offsets(exposed, z)..][..own.len()];
+                    assert!(colors == &tile.colors[own], "{name}, row {z}");
+                }
+            }
             if world.color() == ColorMode::Run {
                 let row = |z: u32| scene.levels[0].solid.offsets()[(z * 768 + 256) as usize] as usize;
                 let colors = (0..256).flat_map(|z| &scene.levels[0].colors[row(z)..][..256]);
@@ -319,6 +431,31 @@ mod tests {
                 }
                 let n = n.min(TILE).pow(2);
                 assert!(wrong * 100 <= n, "{name}, level {level}: {wrong} of {n} tops are wrong");
+            }
+        }
+    }
+
+    #[test]
+    fn producers_evaluate_what_bounds_do_not_tell() {
+        let land = Blend::new(Land::terrain(5), Land::clouds(6), 7, 9);
+        let densities: [&dyn Density; 5] = [&land, &Land::terrain(1), &Land::rocks(2), &Mixing::new(3), &Hills::new(4)];
+        for (i, density) in densities.into_iter().enumerate() {
+            for (level, at) in [(0, SIDE / 2 - 3), (2, (SIDE >> 3) + 77), (5, 1000)] {
+                let n = 19;
+                let made = make::columns(density, level, at..at + n, at..at + n);
+                let voxel = |x, y, z| {
+                    density.value([middle(at + x, level), height(y, level), middle(at + z, level)], level) > 0
+                };
+                let all = crate::Columns::from_fn(n, density.height().div_ceil(1 << level), n, voxel);
+                assert_eq!(made, all, "density {i}, level {level}");
+                if let Some(heights) = density.heights(&Area { level, from: [at; 2], size: [n; 2] }) {
+                    assert!(
+                        heights
+                            .iter()
+                            .enumerate()
+                            .all(|(i, &h)| { made.column(i as u32 % n, i as u32 / n) == [crate::Run::new(0, h - 1)] })
+                    );
+                }
             }
         }
     }

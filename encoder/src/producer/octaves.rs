@@ -1,7 +1,7 @@
 //! Sums of octaves of noise: at a point, over an area of columns, over a box, and bounds of them. All give the same values.
 
-use super::noise::{self, ONE, after, along, cell, end2, fade, gradient, hash};
-use super::{Area, Interval, Part};
+use super::noise::{self, ONE, after, along, cell, end2, end3, fade, gradient, hash};
+use super::{Area, Cells, Interval, Part};
 
 /// Cells that are narrower than this many voxels of a level are left out of it.
 const NARROWEST: u32 = 2;
@@ -111,6 +111,22 @@ impl Octaves {
         sums
     }
 
+    /// What a level leaves out is not farther from 0.
+    pub fn left_out(&self, level: u32) -> i32 {
+        let most = noise::MOST[self.dimensions - 2];
+        let out = self.octaves.iter().filter(|[shift, _]| *shift <= level + NARROWEST);
+        out.map(|&[_, amplitude]| (most * amplitude as i32 >> 4) + 1).sum()
+    }
+
+    /// Adds the sums at the middles of a box of voxels, `(z·nx + x)·ny + y`.
+    pub fn fill(&self, cells: &Cells, sums: &mut [i32]) {
+        debug_assert_eq!(self.dimensions, 3);
+        for (seed, shift, amplitude) in self.shown(cells.level) {
+            let axis = |i: usize| Axis::new(cells, i, Octaves::moved(seed, i as u32), shift);
+            add(seed, amplitude, &[axis(0), axis(1), axis(2)], sums);
+        }
+    }
+
     /// No sum is farther from 0, at any level.
     pub fn most(&self) -> i32 {
         let most = noise::MOST[self.dimensions - 2];
@@ -160,6 +176,90 @@ impl Octaves {
     }
 }
 
+/// Places of a box along an axis, in cells of one octave.
+struct Axis {
+    n: usize,
+    fractions: [i32; Cells::MOST],
+    fades: [i32; Cells::MOST],
+    /// Where the places of each cell end, and the corners of the cells; cells are at least four voxels wide.
+    ends: [u8; Cells::MOST / 4 + 2],
+    corners: [u32; Cells::MOST / 4 + 3],
+    n_spans: usize,
+}
+
+impl Axis {
+    #[inline(always)]
+    fn new(cells: &Cells, axis: usize, moved: u32, shift: u32) -> Axis {
+        let n = cells.size[axis] as usize;
+        let none = [0; Cells::MOST];
+        let (ends, corners) = ([0; Cells::MOST / 4 + 2], [0; Cells::MOST / 4 + 3]);
+        let mut all = Axis { n, fractions: none, fades: none, ends, corners, n_spans: 0 };
+        for i in 0..n {
+            let (at, fraction) = cell(cells.middle(axis, i as u32).wrapping_add(moved), shift);
+            if all.n_spans == 0 || all.corners[all.n_spans - 1] != at {
+                all.corners[all.n_spans] = at;
+                all.n_spans += 1;
+            }
+            all.ends[all.n_spans - 1] = (i + 1) as u8;
+            all.fractions[i] = fraction;
+            all.fades[i] = fade(fraction);
+        }
+        all.corners[all.n_spans] = after(all.corners[all.n_spans - 1], shift);
+        all
+    }
+}
+
+/// One octave over a box.
+fn add(seed: u32, amplitude: i32, axes: &[Axis; 3], sums: &mut [i32]) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2")]
+        fn wide(seed: u32, amplitude: i32, axes: &[Axis; 3], sums: &mut [i32]) {
+            add_here(seed, amplitude, axes, sums);
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has been asked.
+            return unsafe { wide(seed, amplitude, axes, sums) };
+        }
+    }
+    add_here(seed, amplitude, axes, sums);
+}
+
+#[inline(always)]
+fn add_here(seed: u32, amplitude: i32, [xs, ys, zs]: &[Axis; 3], sums: &mut [i32]) {
+    const SIDE: usize = Cells::MOST / 4 + 3;
+    let mut gradients = [[[0; 3]; 4]; SIDE];
+    let mut ends = [[0; 2]; SIDE];
+    for sz in 0..zs.n_spans {
+        let z_places = if sz == 0 { 0 } else { zs.ends[sz - 1] as usize }..zs.ends[sz] as usize;
+        for sx in 0..xs.n_spans {
+            let x_places = if sx == 0 { 0 } else { xs.ends[sx - 1] as usize }..xs.ends[sx] as usize;
+            for (g, &y) in gradients.iter_mut().zip(&ys.corners[..=ys.n_spans]) {
+                let corner = |i: usize, k: usize| gradient(hash(seed, xs.corners[sx + i], y, zs.corners[sz + k]));
+                *g = [corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)];
+            }
+            for z in z_places.clone() {
+                for x in x_places.clone() {
+                    let (f, u) = ([xs.fractions[x], zs.fractions[z]], [xs.fades[x], zs.fades[z]]);
+                    for (end, g) in ends.iter_mut().zip(&gradients[..=ys.n_spans]) {
+                        *end = end3(g, f, u);
+                    }
+                    let sums = &mut sums[(z * xs.n + x) * ys.n..][..ys.n];
+                    let mut from = 0;
+                    for sy in 0..ys.n_spans {
+                        let to = ys.ends[sy] as usize;
+                        let places = ys.fractions[from..to].iter().zip(&ys.fades[from..to]);
+                        for (sum, (&t, &fade)) in sums[from..to].iter_mut().zip(places) {
+                            *sum += along(ends[sy], ends[sy + 1], t, fade) * amplitude >> 4;
+                        }
+                        from = to;
+                    }
+                }
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -195,6 +295,20 @@ mod tests {
                     let v = if dimensions == 2 { octaves.at2([p[0], p[2]], level) } else { octaves.at3(p, level) };
                     prop_assert!((least..=most).contains(&v), "{v} in {least}..={most}, {dimensions} dimensions");
                 }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn octaves_over_a_box_are_those_at_its_voxels(from in any::<[u32; 3]>(), level in 0u32..7, seed in any::<u32>()) {
+            let octaves = Octaves::new(seed, 3, 7, 2, 16 << 4, 150);
+            let cells = Cells { level, from: from.map(|v| v >> 2 >> level), size: [7, 33, 5] };
+            let mut sums = vec![3; 7 * 33 * 5];
+            octaves.fill(&cells, &mut sums);
+            for (i, &sum) in (0u32..).zip(&sums) {
+                let [x, y, z] = [(i / 33) % 7, i % 33, i / 33 / 7];
+                prop_assert_eq!(sum - 3, octaves.at3([cells.middle(0, x), cells.middle(1, y), cells.middle(2, z)], level));
             }
         }
     }

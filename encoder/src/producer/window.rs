@@ -34,8 +34,17 @@ impl<D: Density> Pieces for Window<D> {
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
         let moved = |r: Range<u32>, by: u32| r.start + by..r.end + by;
-        let level = make::level(&self.density, 0, moved(xs, self.at[0]), moved(zs, self.at[1]))?;
-        let colors = if self.colored() { Colors::Run(level.colors) } else { Colors::None };
+        let level = make::level(&self.density, 0, moved(xs, self.at[0]), moved(zs, self.at[1]));
+        let colors = match (self.density.color_mode(), &level.exposed) {
+            (ColorMode::None, _) => Colors::None,
+            (ColorMode::Voxel, Some(exposed)) => {
+                // What only the window's sides expose takes the nearest colour.
+                let voxels = exposed.runs().iter().flat_map(|run| run.first()..=run.last());
+                let offsets = exposed.voxel_offsets().into_iter().map(|n| n as u32).collect();
+                Colors::Voxel { offsets, entries: voxels.zip(level.colors).collect() }
+            }
+            _ => Colors::Run(level.colors),
+        };
         Ok(Input { columns: level.solid, colors, notes: Vec::new() })
     }
 }
