@@ -112,71 +112,10 @@ impl PcastFile {
 
     fn new(path: &Path, bytes: Bytes) -> Result<PcastFile> {
         let wrong = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
-        let Some(header) = bytes.get(..size_of::<Header>()) else {
-            return Err(too_short(path, bytes.len() as u64));
-        };
-        let header: Header = pod_read_unaligned(header);
-        if header.magic != format::MAGIC {
-            return Err(Error::format(
-                path,
-                "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
-            ));
-        }
-        let flags = match header.version[0] {
-            1 => EMPTY,
-            2 => EMPTY | COMPRESSED,
-            3 => EMPTY | COMPRESSED | SPECIALIZED,
-            other => return wrong(8, format!("version {other} of .pcast, this program reads versions 1 to 3")),
-        };
-        if header.checksum != header.checksum() {
-            return wrong(56, "the header does not match its checksum; the file is damaged".into());
-        }
-        if header.file_len != bytes.len() as u64 {
-            let (found, expected) = (bytes.len(), header.file_len);
-            return wrong(
-                40,
-                format!("the file has {found} bytes, its header says {expected}; it was cut short or added to"),
-            );
-        }
-        let dims = header.dims;
-        let n_columns = u64::from(dims[0]) * u64::from(dims[2]);
-        if dims.contains(&0) || dims[1] > 65_536 || n_columns > format::MAX_COLUMNS {
-            return wrong(
-                12,
-                format!(
-                    "{} × {} × {} voxels; 1 to 65,536 high and at most 2³¹ columns were expected",
-                    dims[0], dims[1], dims[2]
-                ),
-            );
-        }
-        let encodings = [Encoding::Solid, Encoding::Surface];
-        let Some(&encoding) = encodings.get(header.encoding as usize) else {
-            return wrong(24, format!("encoding {}, 0 or 1 was expected", header.encoding));
-        };
-        let Some(&color) = [ColorMode::None, ColorMode::Run, ColorMode::Voxel].get(header.color as usize) else {
-            return wrong(25, format!("colour mode {}, 0 to 2 was expected", header.color));
-        };
-        let Some(&mip_rule) = [MipRule::Any, MipRule::Majority].get(header.mip_rule as usize) else {
-            return wrong(26, format!("mip rule {}, 0 or 1 was expected", header.mip_rule));
-        };
-        let grids = format::grids(dims);
-        if header.n_levels as usize != grids.len() {
-            return wrong(27, format!("{} levels, {} were expected", header.n_levels, grids.len()));
-        }
-        let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
-        if u64::from(header.n_tiles) != n_tiles {
-            return wrong(28, format!("{} tiles, {n_tiles} were expected", header.n_tiles));
-        }
-        let directory = usize::try_from(header.directory).ok().and_then(|start| {
-            let end = start.checked_add(header.n_tiles as usize * size_of::<TileEntry>())?;
-            bytes.get(start..end).filter(|_| start >= size_of::<Header>())
-        });
-        let Some(directory) = directory else {
-            return wrong(
-                32,
-                format!("a directory of {n_tiles} tiles at byte {} does not fit the file", header.directory),
-            );
-        };
+        let Outline { encoding, color, mip_rule, grids, flags } = Outline::check(path, &bytes, bytes.len() as u64)?;
+        let header: Header = pod_read_unaligned(&bytes[..size_of::<Header>()]);
+        let n_tiles = header.n_tiles;
+        let directory = &bytes[header.directory as usize..][..n_tiles as usize * size_of::<TileEntry>()];
         let mut about = About::default();
         if header.version[1] >= format::MINOR_METADATA {
             let metadata = &bytes[size_of::<Header>()..header.directory as usize];
@@ -317,17 +256,7 @@ impl PcastFile {
     }
 
     fn unpack<'a>(&'a self, level: usize, tx: u32, tz: u32, bytes: Cow<'a, [u8]>) -> Result<Blob<'a>> {
-        let place = self.place(level, tx, tz);
-        let stored = bytes.len();
-        if place.flags & COMPRESSED == 0 {
-            return Blob::new(place, bytes, stored);
-        }
-        // Memory grows with what the frame really holds, not with what it claims.
-        let mut unpacked = Vec::new();
-        unzstd(&bytes)
-            .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
-            .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
-        Blob::new(place, Cow::Owned(unpacked), stored)
+        unpack(self.place(level, tx, tz), bytes)
     }
 
     /// One tile, after every byte of it was checked. Its columns are those of [`Grid::columns`], counted from 0.
@@ -585,7 +514,12 @@ fn color_rows(columns: &Columns, colors: impl Fn(Run) -> usize) -> Vec<usize> {
 }
 
 /// Bounds and overlaps; an error names the tile by its number in the directory.
-fn check_entries(entries: &[TileEntry], flags: u32, directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
+pub(crate) fn check_entries(
+    entries: &[TileEntry],
+    flags: u32,
+    directory_end: u64,
+    file_len: u64,
+) -> Result<(), (usize, String)> {
     let mut blobs = Vec::new();
     for (i, e) in entries.iter().enumerate() {
         if e.is_empty() {
@@ -661,6 +595,86 @@ impl TileSource for PcastFile {
     }
 }
 
+/// What a header says, after it was found to be right.
+pub(crate) struct Outline {
+    pub encoding: Encoding,
+    pub color: ColorMode,
+    pub mip_rule: MipRule,
+    pub grids: Vec<Grid>,
+    /// That entries of the directory may have.
+    pub flags: u32,
+}
+
+impl Outline {
+    /// From a file's first bytes; `len` is how many it has.
+    pub(crate) fn check(path: &Path, head: &[u8], len: u64) -> Result<Outline> {
+        let wrong = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
+        let Some(header) = head.get(..size_of::<Header>()) else {
+            return Err(too_short(path, head.len() as u64));
+        };
+        let header: Header = pod_read_unaligned(header);
+        if header.magic != format::MAGIC {
+            return Err(Error::format(
+                path,
+                "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
+            ));
+        }
+        let flags = match header.version[0] {
+            1 => EMPTY,
+            2 => EMPTY | COMPRESSED,
+            3 => EMPTY | COMPRESSED | SPECIALIZED,
+            other => return wrong(8, format!("version {other} of .pcast, this program reads versions 1 to 3")),
+        };
+        if header.checksum != header.checksum() {
+            return wrong(56, "the header does not match its checksum; the file is damaged".into());
+        }
+        if header.file_len != len {
+            let (found, expected) = (len, header.file_len);
+            return wrong(
+                40,
+                format!("the file has {found} bytes, its header says {expected}; it was cut short or added to"),
+            );
+        }
+        let dims = header.dims;
+        let n_columns = u64::from(dims[0]) * u64::from(dims[2]);
+        if dims.contains(&0) || dims[1] > 65_536 || n_columns > format::MAX_COLUMNS {
+            return wrong(
+                12,
+                format!(
+                    "{} × {} × {} voxels; 1 to 65,536 high and at most 2³¹ columns were expected",
+                    dims[0], dims[1], dims[2]
+                ),
+            );
+        }
+        let encodings = [Encoding::Solid, Encoding::Surface];
+        let Some(&encoding) = encodings.get(header.encoding as usize) else {
+            return wrong(24, format!("encoding {}, 0 or 1 was expected", header.encoding));
+        };
+        let Some(&color) = [ColorMode::None, ColorMode::Run, ColorMode::Voxel].get(header.color as usize) else {
+            return wrong(25, format!("colour mode {}, 0 to 2 was expected", header.color));
+        };
+        let Some(&mip_rule) = [MipRule::Any, MipRule::Majority].get(header.mip_rule as usize) else {
+            return wrong(26, format!("mip rule {}, 0 or 1 was expected", header.mip_rule));
+        };
+        let grids = format::grids(dims);
+        if header.n_levels as usize != grids.len() {
+            return wrong(27, format!("{} levels, {} were expected", header.n_levels, grids.len()));
+        }
+        let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
+        if u64::from(header.n_tiles) != n_tiles {
+            return wrong(28, format!("{} tiles, {n_tiles} were expected", header.n_tiles));
+        }
+        let directory = header.directory.checked_add(n_tiles * size_of::<TileEntry>() as u64);
+        if header.directory < size_of::<Header>() as u64 || directory.is_none_or(|end| end > len) {
+            return wrong(
+                32,
+                format!("a directory of {n_tiles} tiles at byte {} does not fit the file", header.directory),
+            );
+        }
+        Ok(Outline { encoding, color, mip_rule, grids, flags })
+    }
+}
+
 /// What the tiles of a scene hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Modes {
@@ -697,6 +711,32 @@ pub(crate) struct Place<'a> {
     pub modes: Modes,
     /// Of the tile.
     pub dims: [u32; 3],
+}
+
+/// The blob of a tile from its bytes as they are stored.
+fn unpack<'a>(place: Place<'a>, bytes: Cow<'a, [u8]>) -> Result<Blob<'a>> {
+    let stored = bytes.len();
+    if place.flags & COMPRESSED == 0 {
+        return Blob::new(place, bytes, stored);
+    }
+    // Memory grows with what the frame really holds, not with what it claims.
+    let mut unpacked = Vec::new();
+    unzstd(&bytes)
+        .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
+        .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
+    Blob::new(place, Cow::Owned(unpacked), stored)
+}
+
+/// A tile from its bytes as they are stored, every one of them checked; from none an empty one.
+pub(crate) fn read_tile(place: Place, bytes: Option<Vec<u8>>, entry: &TileEntry) -> Result<Level> {
+    let Some(bytes) = bytes else { return Ok(place.empty()) };
+    if xxh3_64(&bytes) != entry.checksum {
+        return Err(place.error(0, "does not match its checksum; the file is damaged"));
+    }
+    let blob = unpack(place, Cow::Owned(bytes))?;
+    let tile = blob.level()?;
+    blob.check_figures(&tile, entry)?;
+    Ok(tile)
 }
 
 /// A tile from its blob, every byte of it checked; from no bytes an empty one.

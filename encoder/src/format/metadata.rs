@@ -53,6 +53,13 @@ pub fn pack(about: &About) -> Vec<u8> {
     bytes
 }
 
+/// Bytes of the first section, which says most, from its header; 0 where there is none.
+pub fn first(header: &[u8]) -> u64 {
+    let header = header.get(..size_of::<ChunkHeader>()).map(pod_read_unaligned::<ChunkHeader>);
+    let header = header.filter(|h| h.tag == ABOUT && h.len as usize <= MAX_ABOUT);
+    header.map_or(0, |h| size_of::<ChunkHeader>() as u64 + u64::from(h.len))
+}
+
 /// What sections say; those that are not known are passed over. An error names the byte, from the sections' start.
 pub fn unpack(bytes: &[u8]) -> Result<About, (usize, String)> {
     let (mut at, mut about) = (0, About::default());

@@ -242,6 +242,8 @@ pub mod file;
 pub mod forms;
 pub(crate) mod lists;
 pub mod metadata;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod ranged;
 pub mod write;
 
 use bytemuck::{Pod, Zeroable};

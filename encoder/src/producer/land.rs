@@ -2,7 +2,7 @@
 
 use super::hills::{land, mix, shade};
 use super::noise::{ONE, hash};
-use super::octaves::Octaves;
+use super::octaves::{Field, Octaves};
 use super::{Area, Cells, Density, Interval, Part, SIDE, Spot};
 use crate::{ColorMode, Rgb};
 
@@ -11,7 +11,7 @@ const FLOOR: i32 = 4;
 
 /// Things that float: solid where noise is above a threshold, which grows away from a height.
 struct Floating {
-    noise: Octaves,
+    noise: Field,
     /// In voxels; half as high as 2^`shift`.
     middle: i32,
     shift: u32,
@@ -28,15 +28,40 @@ pub struct Land {
     base: i32,
     /// In 4,096ths of a voxel: the ground's height, and how it bends.
     ground: Octaves,
-    bend: Option<Octaves>,
-    bend_most: i32,
+    bend: Option<Field>,
     /// In 4,096ths: tunnels are where both are near 0.
-    caves: Option<[Octaves; 2]>,
+    caves: Option<[Field; 2]>,
     floating: Option<Floating>,
 }
 
 /// Squares of both caves' noise together where a tunnel ends, in 4,096ths.
 const TUNNEL: i32 = 40;
+
+/// Voxels of ground that tunnels leave above them, but where it bends up by more than so many.
+const ROOF: i32 = 8;
+const ENTRY: i32 = 20;
+
+/// What ground bends by at most, in 4,096ths of a voxel.
+const BEND: i32 = 48 * ONE;
+
+/// Ground that bends, near its surface.
+#[inline(always)]
+fn bent(value: i32, bend: i32) -> i32 {
+    if value.abs() <= BEND { value + bend.clamp(-BEND, BEND) } else { value }
+}
+
+/// Ground with a tunnel in it.
+#[inline(always)]
+fn hollowed(value: i32, bend: i32, squares: i32) -> i32 {
+    let roofed = value > ROOF * ONE || (value > 0 && bend > ENTRY * ONE);
+    if roofed && squares <= TUNNEL { (squares - TUNNEL) * 64 } else { value }
+}
+
+/// What floats, where its noise is above the threshold.
+#[inline(always)]
+fn added(value: i32, above: i32) -> i32 {
+    if above > 0 { value.max(above * 64) } else { value }
+}
 
 impl Land {
     fn seeds(seed: u32) -> impl Fn(u32) -> u32 {
@@ -46,17 +71,16 @@ impl Land {
     /// Rugged, with overhangs, tunnels and a few floating rocks.
     pub fn terrain(seed: u32) -> Land {
         let of = Land::seeds(seed);
-        let bend = Octaves::new(of(2), 3, 7, 3, 36 << 4, 120);
+        let bend = Field::new(Octaves::new(of(2), 3, 7, 3, 36 << 4, 100));
         Land {
             seed,
             high: 512,
             base: 150,
             ground: Octaves::new(of(1), 2, 10, 2, 220 << 4, 120),
-            bend_most: bend.most(),
             bend: Some(bend),
-            caves: Some([3, 4].map(|i| Octaves::new(of(i), 3, 6, 5, 16, 100))),
+            caves: Some([3, 4].map(|i| Field::new(Octaves::new(of(i), 3, 6, 5, 16, 100)))),
             floating: Some(Floating {
-                noise: Octaves::new(of(5), 3, 7, 4, 16, 120),
+                noise: Field::new(Octaves::new(of(5), 3, 7, 4, 16, 80)),
                 middle: 400,
                 shift: 7,
                 threshold: 1900,
@@ -75,10 +99,9 @@ impl Land {
             base: 130,
             ground: Octaves::new(of(1), 2, 10, 5, 160 << 4, 110),
             bend: None,
-            bend_most: 0,
             caves: None,
             floating: Some(Floating {
-                noise: Octaves::new(of(2), 3, 7, 2, 16, 115),
+                noise: Field::new(Octaves::new(of(2), 3, 7, 3, 16, 80)),
                 middle: 340,
                 shift: 7,
                 threshold: 900,
@@ -97,10 +120,9 @@ impl Land {
             base: 140,
             ground: Octaves::new(of(1), 2, 11, 2, 260 << 4, 112),
             bend: None,
-            bend_most: 0,
             caves: None,
             floating: Some(Floating {
-                noise: Octaves::new(of(2), 3, 8, 2, 16, 128),
+                noise: Field::new(Octaves::new(of(2), 3, 8, 3, 16, 100)),
                 middle: 600,
                 shift: 6,
                 threshold: 700,
@@ -120,27 +142,24 @@ impl Land {
     #[inline(always)]
     fn combined(&self, y: i32, surface: i32, bend: i32, squares: Option<i32>, floating: i32) -> i32 {
         // Each part counts only where it can tell, so that who knows that it cannot need not make it.
-        let mut value = surface - y * (ONE / 2);
-        if value.abs() <= self.bend_most {
-            value += bend;
-        }
-        if value > 0 && squares.is_some_and(|squares| squares <= TUNNEL) {
-            value = (squares.unwrap_or(TUNNEL) - TUNNEL) * 64;
+        let mut value = bent(surface - y * (ONE / 2), bend);
+        if let Some(squares) = squares {
+            value = hollowed(value, bend, squares);
         }
         if let Some(of) = &self.floating
-            && floating > of.limit(y)
+            && of.reaches(y)
         {
-            value = value.max((floating - of.limit(y)) * 64);
+            value = added(value, floating - of.limit(y));
         }
         value.max((FLOOR * 2 - y) * (ONE / 2))
     }
 
     /// Whether a level shows tunnels at all: some ten voxels wide, they vanish where voxels are half as wide.
-    fn caves_of(&self, level: u32) -> Option<&[Octaves; 2]> {
-        self.caves.as_ref().filter(|_| level <= 2)
+    fn caves_of(&self, level: u32) -> Option<&[Field; 2]> {
+        self.caves.as_ref().filter(|_| level <= 3)
     }
 
-    fn bounded(&self, surface: Interval, y: [u32; 2], part: &Part, caves: bool) -> Interval {
+    fn bounded(&self, surface: Interval, y: [u32; 2], part: &Part, caves: bool, closely: bool) -> Interval {
         let [low, high] = y.map(|y| y.min(1 << 17) as i32);
         let far = |most: i32| Interval { least: -most, most };
         let any = caves.then_some(Interval { least: 0, most: 1 << 22 });
@@ -152,7 +171,10 @@ impl Land {
             let least = squares(|s| s.least).map_or(least, |s| least.min((s - TUNNEL) * 64));
             let most = surface.most - low * (ONE / 2) + bend.most;
             let most = squares(|s| s.most).map_or(most, |s| most.min((s - TUNNEL) * 64));
-            let float = |floating: i32, y: i32| self.floating.as_ref().map_or(0, |of| (floating - of.limit(y)) * 64);
+            let float = |floating: i32, y: i32| match &self.floating {
+                Some(of) if of.reaches(y) => (floating - of.limit(y)) * 64,
+                _ => i32::MIN,
+            };
             let farther = self
                 .floating
                 .as_ref()
@@ -163,13 +185,16 @@ impl Land {
             let ground = |y: i32| (FLOOR * 2 - y) * (ONE / 2);
             Interval { least: least.max(ground(high)), most: most.max(float(floating.most, middle)).max(ground(low)) }
         };
-        let bend = far(self.bend.as_ref().map_or(0, Octaves::most));
+        let bend = far(if self.bend.is_some() { BEND } else { 0 });
         let floating = far(self.floating.as_ref().map_or(0, |of| of.noise.most()));
         let first = over(bend, any, floating);
-        if first.least > 0 || first.most <= 0 {
+        if first.least > 0 || first.most <= 0 || !closely {
             return first;
         }
-        let bend = self.bend.as_ref().map_or(bend, |of| of.bounds(part));
+        let bend = self.bend.as_ref().map_or(bend, |of| {
+            let Interval { least, most } = of.bounds(part);
+            Interval { least: least.clamp(-BEND, 0), most: most.clamp(0, BEND) }
+        });
         // Only where it can matter: rocks are far above the ground.
         let floating = match &self.floating {
             Some(of) if (low - 2 * of.middle).abs().min((high - 2 * of.middle).abs()) < 8 << of.shift => {
@@ -182,6 +207,12 @@ impl Land {
 }
 
 impl Floating {
+    /// Whether there is any at a height in half voxels.
+    #[inline(always)]
+    fn reaches(&self, y: i32) -> bool {
+        (y - 2 * self.middle).abs() <= 2 << self.shift
+    }
+
     /// The threshold at a height in half voxels.
     #[inline(always)]
     fn limit(&self, y: i32) -> i32 {
@@ -196,9 +227,9 @@ impl Density for Land {
     }
 
     fn value(&self, p: [u32; 3], level: u32) -> i32 {
-        let of = |octaves: &Option<Octaves>| octaves.as_ref().map_or(0, |o| o.at3(p, level));
-        let squares = self.caves_of(level).map(|caves| caves.iter().map(|o| square(o.at3(p, level))).sum());
-        let floating = self.floating.as_ref().map_or(0, |of| of.noise.at3(p, level));
+        let of = |field: &Option<Field>| field.as_ref().map_or(0, |f| f.at(p, level));
+        let squares = self.caves_of(level).map(|caves| caves.iter().map(|o| square(o.at(p, level))).sum());
+        let floating = self.floating.as_ref().map_or(0, |of| of.noise.at(p, level));
         let surface = self.surface(self.ground.at2([p[0], p[2]], level));
         self.combined(p[1].min(1 << 17) as i32, surface, of(&self.bend), squares, floating)
     }
@@ -206,7 +237,7 @@ impl Density for Land {
     fn bounds(&self, part: &Part) -> Interval {
         let Interval { least, most } = self.ground.bounds(part);
         let surface = Interval { least: self.surface(least), most: self.surface(most) };
-        self.bounded(surface, [part.from[1], part.to[1]], part, self.caves.is_some())
+        self.bounded(surface, [part.from[1], part.to[1]], part, self.caves.is_some(), true)
     }
 
     fn shared(&self, area: &Area) -> Vec<i32> {
@@ -225,8 +256,12 @@ impl Density for Land {
             most: i.most.max(s),
         });
         let end = |axis: usize| cells.middle(axis, cells.size[axis] - 1);
-        let part = Part { from: [0, 1, 2].map(|axis| cells.middle(axis, 0)), to: [end(0), end(1), end(2)] };
-        self.bounded(surface, [part.from[1], part.to[1]], &part, self.caves_of(cells.level).is_some())
+        let part = Part {
+            level: cells.level,
+            from: [0, 1, 2].map(|axis| cells.middle(axis, 0)),
+            to: [end(0), end(1), end(2)],
+        };
+        self.bounded(surface, [part.from[1], part.to[1]], &part, self.caves_of(cells.level).is_some(), false)
     }
 
     fn fill(&self, shared: &[i32], cells: &Cells, values: &mut [i32]) {
@@ -234,23 +269,18 @@ impl Density for Land {
         let ny = cells.size[1] as usize;
         let ys: Vec<i32> = (0..cells.size[1]).map(|y| cells.middle(1, y).min(1 << 17) as i32).collect();
         let (low, high) = (ys[0], ys[ny - 1]);
-        let sums = |octaves: &Octaves| {
+        let sums = |field: &Field| {
             let mut sums = vec![0; n];
-            octaves.fill(cells, &mut sums);
+            field.fill(cells, &mut sums);
             sums
         };
         // Parts that cannot show are not made.
-        let near = |of: &Floating| {
-            let nearest = (2 * of.middle).clamp(low, high);
-            of.noise.most() > of.limit(nearest)
-        };
-        let floating = self.floating.as_ref().filter(|of| near(of)).map(|of| sums(&of.noise));
-        let highest = shared.iter().copied().max().unwrap_or(0);
-        let lowest = shared.iter().copied().min().unwrap_or(0);
-        let nearest = [highest - low * (ONE / 2), lowest - high * (ONE / 2)];
-        let bends = nearest[0] >= -self.bend_most && nearest[1] <= self.bend_most;
-        let bend = self.bend.as_ref().filter(|_| bends).map(sums);
-        let under = nearest[0] + self.bend_most > 0;
+        let near = |of: &&Floating| of.reaches((2 * of.middle).clamp(low, high));
+        let floating = self.floating.as_ref().filter(near).map(|of| (of, sums(&of.noise)));
+        let ends = shared.iter().fold([i32::MAX, i32::MIN], |[a, b], &s| [a.min(s), b.max(s)]);
+        let [lowest, highest] = [ends[0] - high * (ONE / 2), ends[1] - low * (ONE / 2)];
+        let bend = self.bend.as_ref().filter(|_| highest >= -BEND && lowest <= BEND).map(sums);
+        let under = highest + BEND > 0;
         let squares = self.caves_of(cells.level).filter(|_| under).map(|[a, b]| {
             let mut a = sums(a);
             a.iter_mut().for_each(|a| *a = square(*a));
@@ -259,13 +289,30 @@ impl Density for Land {
             }
             a
         });
-        for (column, &surface) in shared.iter().enumerate() {
-            for (y, &at) in ys.iter().enumerate() {
-                let i = column * ny + y;
-                let of = |sums: &Option<Vec<i32>>| sums.as_ref().map_or(0, |s| s[i]);
-                let floating = floating.as_ref().map_or(-(1 << 23), |s| s[i]);
-                values[i] = self.combined(at, surface, of(&bend), squares.as_ref().map(|s| s[i]), floating);
+        let limits: Vec<i32> = match &floating {
+            Some((of, _)) => ys.iter().map(|&y| if of.reaches(y) { of.limit(y) } else { i32::MAX / 2 }).collect(),
+            None => Vec::new(),
+        };
+        for (i, (column, &surface)) in values.chunks_exact_mut(ny).zip(shared).enumerate() {
+            let own = i * ny..(i + 1) * ny;
+            column.iter_mut().zip(&ys).for_each(|(value, y)| *value = surface - y * (ONE / 2));
+            let none = [0; Cells::MOST];
+            let bend = match &bend {
+                Some(bend) => {
+                    column.iter_mut().zip(&bend[own.clone()]).for_each(|(value, &bend)| *value = bent(*value, bend));
+                    &bend[own.clone()]
+                }
+                None => &none[..ny],
+            };
+            if let Some(squares) = &squares {
+                let parts = squares[own.clone()].iter().zip(bend);
+                column.iter_mut().zip(parts).for_each(|(value, (&s, &bend))| *value = hollowed(*value, bend, s));
             }
+            if let Some((_, noise)) = &floating {
+                let above = noise[own.clone()].iter().zip(&limits);
+                column.iter_mut().zip(above).for_each(|(value, (n, limit))| *value = added(*value, n - limit));
+            }
+            column.iter_mut().zip(&ys).for_each(|(value, y)| *value = (*value).max((FLOOR * 2 - y) * (ONE / 2)));
         }
     }
 
@@ -300,7 +347,7 @@ impl Density for Land {
         let middle = SIDE / 2;
         let top = |z: u32| (self.surface(self.ground.at2([2 * middle + 1, 2 * z + 1], 0)) >> 12) as u32;
         let highest = (0..=8).map(|i| top(middle - 32 * i)).max().unwrap_or(0);
-        let bend = self.bend.as_ref().map_or(0, |of| (of.most() >> 12) as u32 / 2);
+        let bend = if self.bend.is_some() { (BEND >> 12) as u32 / 2 } else { 0 };
         [middle, highest + bend + 24, middle]
     }
 }

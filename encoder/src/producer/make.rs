@@ -7,8 +7,8 @@ use crate::model::exposure;
 use crate::{ColorMode, Columns, ColumnsBuilder, Level, Rgb, Run};
 
 /// Columns of a block along x and z, and voxels of one along y that are evaluated together.
-const BLOCK: u32 = 8;
-const LEAF: u32 = 16;
+const BLOCK: u32 = 16;
+const LEAF: u32 = 32;
 
 /// Columns `xs × zs` of a level, with colours.
 pub fn level(density: &dyn Density, level: u32, xs: Range<u32>, zs: Range<u32>) -> Level {

@@ -3,7 +3,7 @@
 
 use super::hills::{mix, shade};
 use super::noise::{ONE, hash};
-use super::octaves::Octaves;
+use super::octaves::{Field, Octaves};
 use super::{Cells, Density, Interval, Part, SIDE, Spot};
 use crate::{ColorMode, Rgb};
 
@@ -13,8 +13,8 @@ const HALF: i32 = 144;
 
 pub struct Mixing {
     /// In 4,096ths.
-    pattern: Octaves,
-    turbulence: Octaves,
+    pattern: Field,
+    turbulence: Field,
 }
 
 /// How much of the pattern is still heavy fluid at a height in half voxels, in 4,096ths: a stem that narrows, a cap that is wide again, then
@@ -35,8 +35,8 @@ fn threshold(y: i32) -> i32 {
 impl Mixing {
     pub fn new(seed: u32) -> Mixing {
         Mixing {
-            pattern: Octaves::new(hash(seed, 1, 0, 3), 3, 6, 5, 30, 128),
-            turbulence: Octaves::new(hash(seed, 2, 0, 3), 3, 4, 2, 9, 150),
+            pattern: Field::new(Octaves::new(hash(seed, 1, 0, 3), 3, 6, 5, 30, 128)),
+            turbulence: Field::new(Octaves::new(hash(seed, 2, 0, 3), 3, 5, 3, 11, 150)),
         }
     }
 }
@@ -47,7 +47,7 @@ impl Density for Mixing {
     }
 
     fn value(&self, p: [u32; 3], level: u32) -> i32 {
-        self.pattern.at3(p, level) + self.turbulence.at3(p, level) - threshold(p[1].min(1 << 17) as i32)
+        self.pattern.at(p, level) + self.turbulence.at(p, level) - threshold(p[1].min(1 << 17) as i32)
     }
 
     fn bounds(&self, part: &Part) -> Interval {
@@ -67,9 +67,10 @@ impl Density for Mixing {
     }
 
     fn fill(&self, _: &[i32], cells: &Cells, values: &mut [i32]) {
-        values.fill(0);
+        let mut turbulence = vec![0; values.len()];
         self.pattern.fill(cells, values);
-        self.turbulence.fill(cells, values);
+        self.turbulence.fill(cells, &mut turbulence);
+        values.iter_mut().zip(turbulence).for_each(|(value, more)| *value += more);
         let limits: Vec<i32> = (0..cells.size[1]).map(|y| threshold(cells.middle(1, y).min(1 << 17) as i32)).collect();
         for column in values.chunks_exact_mut(limits.len()) {
             column.iter_mut().zip(&limits).for_each(|(value, limit)| *value -= limit);

@@ -3,15 +3,14 @@
 use super::noise::{self, ONE, after, along, cell, end2, end3, fade, gradient, hash};
 use super::{Area, Cells, Interval, Part};
 
-/// Cells that are narrower than this many voxels of a level are left out of it.
-const NARROWEST: u32 = 2;
-
 /// Noise in cells of a power of two voxels, each half as wide as those of the octave before.
 #[derive(Clone, Debug)]
 pub struct Octaves {
     seed: u32,
     /// Two or three dimensions.
     dimensions: usize,
+    /// Cells of less than 2^`narrowest` voxels of a level are left out of it.
+    narrowest: u32,
     /// By octave: cells of 2^`shift` half voxels, amplitude in 16ths of what is summed.
     octaves: Vec<[u32; 2]>,
 }
@@ -28,15 +27,15 @@ impl Octaves {
             octaves.push([k + 1, (exact >> 8) as u32]);
             exact = exact * u64::from(gain) >> 8;
         }
-        Octaves { seed, dimensions, octaves }
+        Octaves { seed, dimensions, narrowest: 2, octaves }
     }
 
     /// The octaves that a level shows: their seed, the cells' shift, and the amplitude.
     fn shown(&self, level: u32) -> impl Iterator<Item = (u32, u32, i32)> {
-        let seed = self.seed;
+        let (seed, narrowest) = (self.seed, self.narrowest);
         self.octaves
             .iter()
-            .filter(move |[shift, _]| *shift > level + NARROWEST)
+            .filter(move |[shift, _]| *shift > level + narrowest)
             .map(move |&[shift, amplitude]| (hash(seed, shift, 0, 0), shift, amplitude as i32))
     }
 
@@ -114,15 +113,21 @@ impl Octaves {
     /// What a level leaves out is not farther from 0.
     pub fn left_out(&self, level: u32) -> i32 {
         let most = noise::MOST[self.dimensions - 2];
-        let out = self.octaves.iter().filter(|[shift, _]| *shift <= level + NARROWEST);
+        let out = self.octaves.iter().filter(|[shift, _]| *shift <= level + self.narrowest);
         out.map(|&[_, amplitude]| (most * amplitude as i32 >> 4) + 1).sum()
     }
 
-    /// Adds the sums at the middles of a box of voxels, `(z·nx + x)·ny + y`.
+    /// Adds the sums at the places of a box of voxels, `(z·nx + x)·ny + y`.
     pub fn fill(&self, cells: &Cells, sums: &mut [i32]) {
+        let places = |axis: usize| move |i: u32| cells.middle(axis, i);
+        self.add(cells.level, cells.size, [&places(0), &places(1), &places(2)], sums);
+    }
+
+    /// The same at places along each axis of which two that follow each other are nowhere more than a cell apart.
+    fn add(&self, level: u32, size: [u32; 3], places: [&dyn Fn(u32) -> u32; 3], sums: &mut [i32]) {
         debug_assert_eq!(self.dimensions, 3);
-        for (seed, shift, amplitude) in self.shown(cells.level) {
-            let axis = |i: usize| Axis::new(cells, i, Octaves::moved(seed, i as u32), shift);
+        for (seed, shift, amplitude) in self.shown(level) {
+            let axis = |i: usize| Axis::new(size[i], places[i], Octaves::moved(seed, i as u32), shift);
             add(seed, amplitude, &[axis(0), axis(1), axis(2)], sums);
         }
     }
@@ -139,7 +144,7 @@ impl Octaves {
     /// bend; of the others, the amplitude counts.
     pub fn bounds(&self, part: &Part) -> Interval {
         let axes: &[usize] = if self.dimensions == 2 { &[0, 2] } else { &[0, 1, 2] };
-        let widest = axes.iter().map(|&a| part.to[a] - part.from[a]).max().unwrap_or(0);
+        let widest = axes.iter().map(|&a| part.to[a].wrapping_sub(part.from[a])).max().unwrap_or(0);
         let mut bounds = Interval { least: 0, most: 0 };
         for &[shift, amplitude] in &self.octaves {
             let (amplitude, seed) = (amplitude as i32, hash(self.seed, shift, 0, 0));
@@ -176,26 +181,115 @@ impl Octaves {
     }
 }
 
+/// Places of a lattice along a side of a box at most.
+const LATTICE: usize = Cells::MOST / 2 + 2;
+
+/// Noise of three dimensions that is made at every fourth voxel of level 0, and every second of others, along each axis, and is linear
+/// between: for what is smooth.
+#[derive(Clone, Debug)]
+pub struct Field(Octaves);
+
+impl Field {
+    /// Of octaves with cells of eight voxels and more.
+    pub fn new(octaves: Octaves) -> Field {
+        Field(octaves)
+    }
+
+    /// A lattice of so many half voxels, as a power of two.
+    fn shift(level: u32) -> u32 {
+        // Coarse levels are lower, and have less to be smooth.
+        if level == 0 { 3 } else { (level + 2).min(31) }
+    }
+
+    /// At a place.
+    pub fn at(&self, p: [u32; 3], level: u32) -> i32 {
+        let shift = Field::shift(level);
+        let [(x, fx), (y, fy), (z, fz)] = p.map(|v| cell(v, shift));
+        let at = |dx: u32, dy: u32, dz: u32| {
+            let next = |v: u32, d: u32| v.wrapping_add(d) << shift;
+            self.0.at3([next(x, dx), next(y, dy), next(z, dz)], level)
+        };
+        let end = |dy| between(between(at(0, dy, 0), at(1, dy, 0), fx), between(at(0, dy, 1), at(1, dy, 1), fx), fz);
+        between(end(0), end(1), fy)
+    }
+
+    /// The values at the places of a box of voxels, `(z·nx + x)·ny + y`.
+    pub fn fill(&self, cells: &Cells, values: &mut [i32]) {
+        let shift = Field::shift(cells.level);
+        let first = [0, 1, 2].map(|axis| cells.middle(axis, 0) >> shift);
+        let size = [0, 1, 2].map(|axis| {
+            let last = cells.middle(axis, cells.size[axis] - 1) >> shift;
+            (last.wrapping_sub(first[axis]) & (u32::MAX >> shift)) + 2
+        });
+        let place = |axis: usize| move |i: u32| first[axis].wrapping_add(i) << shift;
+        let [nx, ny, nz] = size.map(|n| n as usize);
+        let mut lattice = vec![0; nx * ny * nz];
+        self.0.add(cells.level, size, [&place(0), &place(1), &place(2)], &mut lattice);
+        let axis = |axis: usize, i: u32| {
+            let (at, fraction) = cell(cells.middle(axis, i), shift);
+            ((at.wrapping_sub(first[axis]) & (u32::MAX >> shift)) as usize, fraction)
+        };
+        let ys: Vec<(usize, i32)> = (0..cells.size[1]).map(|y| axis(1, y)).collect();
+        let mut profile = [0; LATTICE];
+        let mut columns = values.chunks_exact_mut(ys.len());
+        for z in 0..cells.size[2] {
+            let (z, fz) = axis(2, z);
+            for x in 0..cells.size[0] {
+                let (x, fx) = axis(0, x);
+                let line = |x: usize, z: usize| &lattice[(z * nx + x) * ny..][..ny];
+                let (a, b, c, d) = (line(x, z), line(x + 1, z), line(x, z + 1), line(x + 1, z + 1));
+                for (y, value) in profile.iter_mut().enumerate().take(ny) {
+                    *value = between(between(a[y], b[y], fx), between(c[y], d[y], fx), fz);
+                }
+                let column = columns.next().expect("a value a voxel");
+                for (value, &(y, fy)) in column.iter_mut().zip(&ys) {
+                    *value = between(profile[y], profile[y + 1], fy);
+                }
+            }
+        }
+    }
+
+    pub fn most(&self) -> i32 {
+        self.0.most()
+    }
+
+    /// All values in a part lie in it, and those of finer levels: they are between those of a lattice that may reach beyond it.
+    pub fn bounds(&self, part: &Part) -> Interval {
+        let more = 1 << Field::shift(part.level).max(3);
+        let (from, to) = (part.from.map(|v: u32| v.wrapping_sub(more)), part.to.map(|v| v.wrapping_add(more)));
+        if (0..3).any(|i| part.to[i].wrapping_sub(part.from[i]) > u32::MAX / 2 - more) {
+            return Interval { least: -self.most(), most: self.most() };
+        }
+        self.0.bounds(&Part { from, to, ..*part })
+    }
+}
+
+/// Between two values, in 256ths of the way: products stay below 2³¹ for values up to 2²¹.
+#[inline(always)]
+fn between(a: i32, b: i32, t: i32) -> i32 {
+    a + ((b - a) * (t >> 4) >> 8)
+}
+
 /// Places of a box along an axis, in cells of one octave.
 struct Axis {
     n: usize,
     fractions: [i32; Cells::MOST],
     fades: [i32; Cells::MOST],
-    /// Where the places of each cell end, and the corners of the cells; cells are at least four voxels wide.
-    ends: [u8; Cells::MOST / 4 + 2],
-    corners: [u32; Cells::MOST / 4 + 3],
+    /// Where the places of each cell end, and the corners of the cells: there are 64 places in cells of four, or [`LATTICE`].
+    ends: [u8; LATTICE],
+    corners: [u32; LATTICE + 1],
     n_spans: usize,
 }
 
 impl Axis {
     #[inline(always)]
-    fn new(cells: &Cells, axis: usize, moved: u32, shift: u32) -> Axis {
-        let n = cells.size[axis] as usize;
+    fn new(n: u32, places: &dyn Fn(u32) -> u32, moved: u32, shift: u32) -> Axis {
+        let n = n as usize;
         let none = [0; Cells::MOST];
-        let (ends, corners) = ([0; Cells::MOST / 4 + 2], [0; Cells::MOST / 4 + 3]);
+        let (ends, corners) = ([0; LATTICE], [0; LATTICE + 1]);
         let mut all = Axis { n, fractions: none, fades: none, ends, corners, n_spans: 0 };
         for i in 0..n {
-            let (at, fraction) = cell(cells.middle(axis, i as u32).wrapping_add(moved), shift);
+            let (at, fraction) = cell(places(i as u32).wrapping_add(moved), shift);
             if all.n_spans == 0 || all.corners[all.n_spans - 1] != at {
                 all.corners[all.n_spans] = at;
                 all.n_spans += 1;
@@ -227,7 +321,7 @@ fn add(seed: u32, amplitude: i32, axes: &[Axis; 3], sums: &mut [i32]) {
 
 #[inline(always)]
 fn add_here(seed: u32, amplitude: i32, [xs, ys, zs]: &[Axis; 3], sums: &mut [i32]) {
-    const SIDE: usize = Cells::MOST / 4 + 3;
+    const SIDE: usize = LATTICE + 1;
     let mut gradients = [[[0; 3]; 4]; SIDE];
     let mut ends = [[0; 2]; SIDE];
     for sz in 0..zs.n_spans {
@@ -284,7 +378,7 @@ mod tests {
             at in proptest::collection::vec(any::<[u16; 3]>(), 40),
         ) {
             let size = size.map(|s| u32::from(s) >> by);
-            let part = Part { from, to: [0, 1, 2].map(|i| from[i].wrapping_add(size[i])) };
+            let part = Part { level, from, to: [0, 1, 2].map(|i| from[i].wrapping_add(size[i])) };
             prop_assume!((0..3).all(|i| part.to[i] >= part.from[i]));
             for dimensions in [2, 3] {
                 let octaves = Octaves::new(seed, dimensions, 12, 2, 3000, 128);
@@ -294,6 +388,11 @@ mod tests {
                     let p = [0, 1, 2].map(|i| from[i] + u32::from(at[i]) % (size[i] + 1));
                     let v = if dimensions == 2 { octaves.at2([p[0], p[2]], level) } else { octaves.at3(p, level) };
                     prop_assert!((least..=most).contains(&v), "{v} in {least}..={most}, {dimensions} dimensions");
+                    if dimensions == 3 {
+                        let field = Field::new(octaves.clone());
+                        let Interval { least, most } = field.bounds(&part);
+                        prop_assert!((least..=most).contains(&field.at(p, level)));
+                    }
                 }
             }
         }
@@ -309,6 +408,12 @@ mod tests {
             for (i, &sum) in (0u32..).zip(&sums) {
                 let [x, y, z] = [(i / 33) % 7, i % 33, i / 33 / 7];
                 prop_assert_eq!(sum - 3, octaves.at3([cells.middle(0, x), cells.middle(1, y), cells.middle(2, z)], level));
+            }
+            let field = Field::new(octaves);
+            field.fill(&cells, &mut sums);
+            for (i, &sum) in (0u32..).zip(&sums) {
+                let [x, y, z] = [(i / 33) % 7, i % 33, i / 33 / 7];
+                prop_assert_eq!(sum, field.at([cells.middle(0, x), cells.middle(1, y), cells.middle(2, z)], level));
             }
         }
     }
