@@ -89,6 +89,7 @@ pub(crate) fn features_built() -> String {
 pub enum Command {
     Encode(planecast_encoder::cli::EncodeArgs),
     Merge(planecast_encoder::cli::MergeArgs),
+    World(planecast_encoder::cli::WorldArgs),
     Verify(planecast_encoder::cli::VerifyArgs),
     Decode(planecast_encoder::cli::DecodeArgs),
     Info(planecast_encoder::cli::InfoArgs),
@@ -1397,6 +1398,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
     exit(match cli.command {
         Command::Encode(args) => args.run().map_err(Error::from),
         Command::Merge(args) => args.run().map_err(Error::from),
+        Command::World(args) => args.run().map_err(Error::from),
         Command::Verify(args) => args.run().map_err(Error::from),
         Command::Decode(args) => args.run().map_err(Error::from),
         Command::Info(args) => args.run().map_err(Error::from).inspect(|()| {

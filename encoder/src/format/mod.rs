@@ -244,6 +244,8 @@ pub(crate) mod lists;
 pub mod metadata;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod ranged;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod sheets;
 pub mod write;
 
 use bytemuck::{Pod, Zeroable};

@@ -8,12 +8,53 @@
 //! A tile of a level is made by itself, never from finer ones. Octaves of noise that a level cannot show are left out, and their mean
 //! is 0, so that a level is about what [`MipRule::Majority`](crate::MipRule::Majority) makes of level 0; bounds keep them.
 //!
+//! `procedural:menger?size=3^N` is the sponge of that many voxels a side, N up to 19, at any level from digits: [`Menger`].
+//!
+//! # A function of one's own
+//!
+//! ```
+//! use planecast_encoder::producer::{Density, Interval, Part, Producer};
+//! use planecast_encoder::producer::octaves::Octaves;
+//! use planecast_encoder::{TileKey, TileSource};
+//!
+//! /// Waves of 40 voxels up and down, around a height of 100.
+//! struct Waves(Octaves);
+//!
+//! impl Density for Waves {
+//!     fn height(&self) -> u32 {
+//!         256
+//!     }
+//!
+//!     // In 4,096ths of a voxel: how far a place is below the surface.
+//!     fn value(&self, [x, y, z]: [u32; 3], level: u32) -> i32 {
+//!         (100 << 12) + self.0.at2([x, z], level) - (y.min(1 << 17) << 11) as i32
+//!     }
+//!
+//!     fn bounds(&self, part: &Part) -> Interval {
+//!         let Interval { least, most } = self.0.bounds(part);
+//!         let [low, high] = [part.from[1], part.to[1]].map(|y| (y.min(1 << 17) << 11) as i32);
+//!         Interval { least: (100 << 12) + least - high, most: (100 << 12) + most - low }
+//!     }
+//! }
+//!
+//! // Two dimensions, cells of 2⁸ to 2³ voxels, the first of 40 voxels (640 sixteenths), each other half as high.
+//! let world = Producer::new("waves", Waves(Octaves::new(1, 2, 8, 3, 40 << 4, 128)));
+//! let tile = world.tile(TileKey { level: 0, x: 5_000, z: 7_000 })?;
+//! assert!(tile.solid.offsets().len() == 65_537 && tile.solid.find(9, 20, 9).is_some());
+//! assert!(tile.solid.find(9, 180, 9).is_none());
+//! # Ok::<(), planecast_encoder::Error>(())
+//! ```
+//!
+//! `value` and `bounds` are all that is needed. Faster: what columns have in common ([`Density::shared`]), a box of values at once
+//! ([`Density::fill`]), or heights alone ([`Density::heights`]).
+//!
 //! All is integer arithmetic of 32 bits that wraps ([`noise`]), so that everybody makes the same bytes.
 
 mod blend;
 mod hills;
 mod land;
 mod make;
+mod menger;
 mod mixing;
 pub mod noise;
 pub mod octaves;
@@ -31,6 +72,7 @@ use crate::{ColorMode, Error, Level, Result, Rgb};
 pub use blend::Blend;
 pub use hills::Hills;
 pub use land::Land;
+pub use menger::Menger;
 pub use mixing::Mixing;
 
 /// Columns of a world along x and z.
@@ -318,6 +360,14 @@ fn asked(name: &str) -> Result<Option<Asked>> {
 /// The world without end of a name, as `hills?size=inf&seed=1`; None where the name is that of a scene which is made whole, or asks for
 /// a window, which is to be encoded.
 pub fn from_name(name: &str) -> Result<Option<Arc<dyn TileSource>>> {
+    if let Some(places) = name.strip_prefix("menger?size=3^") {
+        let wrong = || {
+            let what = format!("expected procedural:menger?size=3^N, N from 1 to {}", menger::MOST);
+            Error::Argument(format!("procedural:{name}: {what}"))
+        };
+        let places = places.parse().ok().filter(|n| (1..=menger::MOST).contains(n)).ok_or_else(wrong)?;
+        return Ok(Some(Arc::new(Menger::new(format!("procedural:{name}"), places))));
+    }
     let Some(asked) = asked(name)?.filter(|asked| asked.window.is_none()) else { return Ok(None) };
     struct AsTiles(String);
     impl Make for AsTiles {
@@ -384,17 +434,17 @@ mod tests {
             let world = world(&format!("{name}?size=inf&seed=3"));
             // The window's first row is the tile's, at the world's begin: both have a side there.
             let [x, z] = [SIDE / 2, 0];
-            let pieces = window(&format!("{name}?size=inf&seed=3&window={},{},768,257", x - 256, z)).unwrap().unwrap();
+            let pieces = window(&format!("{name}?size=inf&seed=3&window={},{},258,257", x - 1, z)).unwrap().unwrap();
             let opts = BuildOptions { color: Some(world.color()), mip_rule: MipRule::Majority, ..Default::default() };
             let scene = build(crate::model::pieces::whole(&*pieces).unwrap(), &opts).unwrap();
             let tile = world.tile(TileKey { level: 0, x: x / TILE, z: z / TILE }).unwrap();
             assert_eq!(scene.dims()[1], world.dims()[1]);
-            assert_eq!(scene.levels[0].solid.crop(256..512, 0..256), tile.solid, "{name}");
-            let offsets = |c: &crate::Columns, z: u32| c.voxel_offsets()[(z * 768 + 256) as usize] as usize;
+            assert_eq!(scene.levels[0].solid.crop(1..257, 0..256), tile.solid, "{name}");
+            let offsets = |c: &crate::Columns, z: u32| c.voxel_offsets()[(z * 258 + 1) as usize] as usize;
             if world.color() == ColorMode::Voxel {
                 let exposed = scene.levels[0].exposed.as_ref().unwrap();
                 let tiles = tile.exposed.as_ref().unwrap();
-                assert_eq!(&exposed.crop(256..512, 0..256), tiles, "{name}");
+                assert_eq!(&exposed.crop(1..257, 0..256), tiles, "{name}");
                 let n = tiles.voxel_offsets();
                 for z in 0..256 {
                     let own = n[z as usize * 256] as usize..n[(z as usize + 1) * 256] as usize;
@@ -403,7 +453,7 @@ mod tests {
                 }
             }
             if world.color() == ColorMode::Run {
-                let row = |z: u32| scene.levels[0].solid.offsets()[(z * 768 + 256) as usize] as usize;
+                let row = |z: u32| scene.levels[0].solid.offsets()[(z * 258 + 1) as usize] as usize;
                 let colors = (0..256).flat_map(|z| &scene.levels[0].colors[row(z)..][..256]);
                 assert!(colors.eq(&tile.colors), "{name}");
             }
@@ -440,8 +490,7 @@ mod tests {
         let land = Blend::new(Land::terrain(5), Land::clouds(6), 7, 9);
         let densities: [&dyn Density; 5] = [&land, &Land::terrain(1), &Land::rocks(2), &Mixing::new(3), &Hills::new(4)];
         for (i, density) in densities.into_iter().enumerate() {
-            for (level, at) in [(0, SIDE / 2 - 3), (2, (SIDE >> 3) + 77), (5, 1000)] {
-                let n = 19;
+            for (level, at, n) in [(0, SIDE / 2 - 1, 3), (2, (SIDE >> 3) + 77, 4), (5, 1000, 18)] {
                 let made = make::columns(density, level, at..at + n, at..at + n);
                 let voxel = |x, y, z| {
                     density.value([middle(at + x, level), height(y, level), middle(at + z, level)], level) > 0
@@ -468,6 +517,7 @@ mod tests {
             "{}",
             wrong("hill?size=inf")
         );
+        assert!(wrong("menger?size=3^20").contains("N from 1 to 19"));
         assert!(wrong("hills?size=inf&window=0,0,1").contains("four whole numbers"));
         assert!(wrong("hills?size=inf&window=1073741823,0,2,1").contains("four whole numbers"));
         assert!(wrong("hills?size=inf&bumps=3").contains("there is no parameter"));
@@ -484,10 +534,10 @@ mod tests {
         for name in NAMES {
             let world = world(&format!("{name}?size=inf&seed=1"));
             assert_eq!(world.levels(), 31);
-            for level in [1, 6, 22, 30] {
+            for level in [3, 6, 22, 30] {
                 let n = (SIDE >> level).div_ceil(TILE);
                 let ends = [(0, 0), (n - 1, n / 2)];
-                for (x, z) in ends.into_iter().take(if level == 1 { 1 } else { 2 }) {
+                for (x, z) in ends.into_iter().take(if level == 3 { 1 } else { 2 }) {
                     let key = TileKey { level, x, z };
                     let tile = world.tile(key).unwrap();
                     let side = (SIDE >> level).min(TILE);
@@ -503,8 +553,8 @@ mod tests {
                 }
             }
             let [x, y, z] = world.start().unwrap();
-            let tile = world.tile(TileKey { level: 1, x: x / TILE / 2, z: z / TILE / 2 }).unwrap();
-            let [x, y, z] = [x / 2 % TILE, y / 2, z / 2 % TILE];
+            let tile = world.tile(TileKey { level: 3, x: x / TILE / 8, z: z / TILE / 8 }).unwrap();
+            let [x, y, z] = [x / 8 % TILE, y / 8, z / 8 % TILE];
             assert!(tile.solid.find(x, y, z).is_none(), "{name}: in the air");
         }
     }

@@ -59,8 +59,11 @@ struct Image {
 
 pub(super) fn read(path: &Path, opts: &ReadOptions) -> Result<Volume<'static>> {
     let (folder, image) = find(path)?;
-    guarded(path, "Zarr", || array(&folder, image, opts))
+    guarded(path, "Zarr", || array(&folder, image, opts, None))
 }
+
+/// Which part of an array of so many stored x, y and z is wanted.
+type Part<'a> = &'a dyn Fn([u64; 3]) -> [std::ops::Range<u64>; 3];
 
 /// The folder of the array that `path` names: itself, the finest resolution of the image there, or the only volume; with
 /// what an image above it says.
@@ -392,7 +395,7 @@ enum Convert {
     Brain,
 }
 
-fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volume<'static>> {
+fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions, part: Option<Part>) -> Result<Volume<'static>> {
     let fail = |what: String| Error::format(folder, format!("Zarr: {what}"));
     let own = node(folder)?;
     if own.is_group {
@@ -471,11 +474,17 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
     let row_bytes = cz.min(nz).saturating_mul(cy.min(ny)).saturating_mul(nx).saturating_mul(stored_size);
     let cx = if row_bytes <= ROW_LIMIT { nx } else { cx };
 
+    let part = part.map_or([0..nx, 0..ny, 0..nz], |part| part([nx, ny, nz]));
+    let [nx, ny, nz] = part.each_ref().map(|r| r.end - r.start);
     let scratch = |action| move |e| Error::io(std::env::temp_dir(), action, e);
     let file = scratch::file().map_err(scratch("create a file in"))?;
-    let starts = |n: u64, step: u64| (0..n).step_by(step as usize).map(move |from| from..(from + step).min(n));
-    for (zs, ys) in starts(nz, cz).flat_map(|zs| starts(ny, cy).map(move |ys| (zs.clone(), ys))) {
-        for xs in starts(nx, cx) {
+    // Chunk by chunk, as far as they are wanted.
+    let starts = |r: &std::ops::Range<u64>, step: u64| {
+        let (start, end) = (r.start, r.end);
+        (start / step * step..end).step_by(step as usize).map(move |from| from.max(start)..(from + step).min(end))
+    };
+    for (zs, ys) in starts(&part[2], cz).flat_map(|zs| starts(&part[1], cy).map(move |ys| (zs.clone(), ys))) {
+        for xs in starts(&part[0], cx) {
             let mut ranges = vec![0..1; shape.len()];
             (ranges[ix], ranges[iy]) = (xs.clone(), ys.clone());
             if let Some(iz) = iz {
@@ -506,7 +515,8 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
                         row.extend_from_slice(&v.to_ne_bytes());
                     }),
                 }
-                let at = ((z * ny + y) * nx + xs.start) * dtype.size();
+                let at =
+                    (((z - part[2].start) * ny + y - part[1].start) * nx + xs.start - part[0].start) * dtype.size();
                 write_at(&file, &row, at).map_err(scratch("write a file in"))?;
             }
         }
@@ -615,6 +625,8 @@ fn names(own: &Node, image: Option<&Image>, rank: usize) -> (Vec<Axis>, &'static
         None => (vec![Axis::default(); rank], ""),
     }
 }
+
+pub(super) mod lazy;
 
 #[cfg(test)]
 mod tests;
