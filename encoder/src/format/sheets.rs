@@ -44,6 +44,9 @@ const OPEN: usize = 64;
 /// Places of which each is looked up at once.
 const MOST_INDEXED: usize = 1 << 22;
 
+/// Sheets of which levels coarser than one are made in memory: 50 bytes each.
+const MOST_STITCHED: u64 = 1 << 24;
+
 /// A manifest.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Manifest {
@@ -314,6 +317,14 @@ impl Sheets {
     fn coarsest(&self) -> Result<&[Level]> {
         if let Some(levels) = self.coarsest.get() {
             return Ok(levels);
+        }
+        let [nx, nz] = self.manifest.grid;
+        if u64::from(nx) * u64::from(nz) > MOST_STITCHED {
+            let what = format!(
+                "{}: {nx} × {nz} sheets; levels coarser than a sheet are made for up to {MOST_STITCHED} of them: name a coarse scene",
+                self.path.display()
+            );
+            return Err(Error::Limit(what));
         }
         let first = self.stitched(self.column, [0, 0], self.manifest.grid)?;
         let mut levels = vec![first];
