@@ -427,7 +427,7 @@ impl MergeArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub struct WorldArgs {
     /// Scenes of equal size, row by row from the north-west; - for a place where there is none
-    #[arg(required = true, allow_hyphen_values = true)]
+    #[arg(required = true)]
     pub sheets: Vec<PathBuf>,
     /// World to write
     #[arg(short, long, value_name = "WORLD.pworld")]
@@ -517,7 +517,7 @@ impl WorldArgs {
                 file.strip_prefix(&folder).map(Path::to_path_buf).unwrap_or(file)
             }
         };
-        let all = (times_z as u64).saturating_mul(times_x.into()).saturating_mul(named.len() as u64);
+        let all = u64::from(times_z).saturating_mul(times_x.into()).saturating_mul(named.len() as u64);
         if named.len() == 1 && across == 1 && rows == 1 {
             let (name, ..) = named[0];
             manifest.sheets.push(Sheet { file: seen(name), x: 0, z: 0, nx: times_x, nz: times_z });
@@ -535,7 +535,7 @@ impl WorldArgs {
                 manifest.sheets.extend(named.iter().map(at));
             }
         }
-        let no_files = |_: &Path| unreachable!("nobody asks for a tile");
+        let no_files = |file: &Path| Err(Error::Argument(format!("{}: nobody asks for it", file.display())));
         let world = Sheets::new(&self.output, manifest.clone(), Box::new(no_files))?;
         let text = serde_json::to_vec_pretty(&manifest).expect("plain values have a JSON form");
         format::write::write_atomic(&self.output, |out| {
