@@ -35,3 +35,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("320 × 200 pixels in a texture of {}", adapter.get_info().name);
     Ok(())
 }
+
+#[test]
+fn the_picture_reaches_the_others_texture() {
+    main().expect("a device, software or not, that both use");
+}

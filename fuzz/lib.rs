@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use bytemuck::pod_read_unaligned;
+use planecast_encoder::format::sheets::{Manifest, Sheets};
 use planecast_encoder::format::write::write_scene_to;
 use planecast_encoder::format::{Header, TileEntry};
 use planecast_encoder::inspect::verify::{Depth, verify};
 use planecast_encoder::source::{Dtype, Format, HeightCode, PointSize, ReadOptions, Up, open, read};
-use planecast_encoder::{Colors, Input, PcastFile, Scene};
+use planecast_encoder::{Colors, Input, PcastFile, Scene, TileKey, TileSource};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// Voxels and runs beyond which a world is not looked at voxel by voxel: libFuzzer wants many small runs.
@@ -133,6 +134,18 @@ fn check(input: &Input) {
             assert_eq!(*offsets.last().unwrap() as usize, entries.len());
         }
         Colors::None | Colors::Function(_) => {}
+    }
+}
+
+/// Reads bytes as the manifest of a world none of whose sheets can be opened.
+pub fn world(bytes: &[u8]) {
+    let name = Path::new("fuzzed.pworld");
+    let Ok(manifest) = Manifest::parse(name, bytes) else { return };
+    let open = |_: &Path| Err(planecast_encoder::Error::Limit("no sheet".to_owned()));
+    let Ok(world) = Sheets::new(name, manifest, Box::new(open)) else { return };
+    for level in 0..world.levels().min(4) {
+        let _ = world.tile(TileKey { level, x: 0, z: 0 });
+        let _ = world.is_empty(TileKey { level, x: 0, z: 0 });
     }
 }
 

@@ -79,6 +79,21 @@
 //! | [`view`] | the window, and what the page shares with it |
 //! | `cli` | the command line |
 //!
+//! # Features
+//! | who | features |
+//! |---|---|
+//! | draws on GPU and CPU, in a program of one's own | `default-features = false, features = ["gpu"]` |
+//! | on the CPU alone | `default-features = false` |
+//! | makes films, too | `h264` (builds C++), or `av1` |
+//! | measures | `report` (plots, pages, tables) |
+//! | opens Zarr, DICOM, object storage | `zarr` (builds C), `dicom`, `object-store` (builds C) |
+//! | flies in a window | `view` |
+//!
+//! # What is stable
+//! Versions follow semver from 1.0 on; before, a change of the second number may break. [`World`], [`Renderer`], [`Camera`],
+//! [`Options`], [`Frame`], [`Device`] and [`Error`] are meant to stay as they are; other modules are public so that stages can be
+//! called, measured and replaced, and move as the renderer does. `.pcast` files of a major version are read by all programs of it.
+//!
 //! # Words
 //! *Column*: one (x, z) of the world, y up. *Run*: a solid interval of a column. *Level*: the world at half the resolution
 //! of the level before, in x, y and z. *Plane*: see above. *Fan*: planes towards one screen edge. *Sample*: one place of a

@@ -501,6 +501,14 @@ fn commands_take_inputs_as_well_as_scenes() {
     succeeds(dir.path(), &format!("render v.pcast -o a.png {how}"));
     succeeds(dir.path(), &format!("render {input} -o b.png {how}"));
     assert_eq!(fs::read(dir.path().join("a.png")).unwrap(), fs::read(dir.path().join("b.png")).unwrap());
+    // Of a scene nothing is read in another way, which is said.
+    let said = |flags: &str| {
+        let output = planecast(dir.path(), &format!("render v.pcast -o a.png {how} {flags}"));
+        assert!(output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(said("--iso 1").contains("v.pcast: is a scene already"));
+    assert!(!said("").contains("already"));
     succeeds(dir.path(), &format!("fly {input} -o frames --frames 2 {how}"));
     let solid = |x: u32| succeeds(dir.path(), &format!("query v.raw {x} 3 3 --dims 20,30,10"));
     assert_eq!([solid(4), solid(5)], [false, true].map(|solid| format!("{{\"solid\":{solid},\"color\":null}}\n")));

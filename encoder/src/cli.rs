@@ -12,6 +12,7 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::encode::memory;
 use crate::encode::open::{self, Opened};
 use crate::encode::{self, EncodeOptions, Summary, Watch};
+use crate::format::sheets::{Manifest, Sheet, Sheets};
 use crate::format::write::{keep_input, resolved};
 use crate::inspect::decode::decode_to_raw;
 use crate::inspect::info;
@@ -280,7 +281,14 @@ impl clap::FromArgMatches for InputArgs {
 /// A scene, or anything else encoded as `encode` would, with a bar on the terminal and a line or two on how it was read.
 pub fn open(name: &Path, read: &ReadOptions) -> Result<Opened> {
     let watch = Arc::new(Watch::default());
-    with_bar(&watch, 0, || open::open(name, read, &watch, &mut |world| tell_of(world, false)))
+    let opened = with_bar(&watch, 0, || open::open(name, read, &watch, &mut |world| tell_of(world, false)))?;
+    if !opened.encoded && read.is_given() {
+        crate::note!(
+            "{}: is a scene already; --ramp, --exaggeration, --iso and what else says how an input is read belong to encode, and change nothing here",
+            name.display()
+        );
+    }
+    Ok(opened)
 }
 
 /// Runs `work` with that many threads; None: one a core.
@@ -422,6 +430,130 @@ impl MergeArgs {
     }
 }
 
+/// Lay scenes side by side as sheets of one world, without copying them
+#[derive(Clone, Debug, clap::Args)]
+pub struct WorldArgs {
+    /// Scenes of equal size, row by row from the north-west; - for a place where there is none
+    #[arg(required = true)]
+    pub sheets: Vec<PathBuf>,
+    /// World to write
+    #[arg(short, long, value_name = "WORLD.pworld")]
+    pub output: PathBuf,
+    /// Sheets of a row [default: all of them]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub across: Option<u32>,
+    /// How often all of it is there along x and z
+    #[arg(long, value_name = "X,Z", value_parser = two)]
+    pub repeat: Option<[u32; 2]>,
+}
+
+fn two(s: &str) -> Result<[u32; 2], String> {
+    let numbers: Option<Vec<u32>> = s.split(',').map(|n| n.trim().parse().ok().filter(|&n| n > 0)).collect();
+    numbers.and_then(|n| n.try_into().ok()).ok_or_else(|| "expected two whole numbers, as in 4,4".to_owned())
+}
+
+impl WorldArgs {
+    pub fn run(&self) -> Result<()> {
+        self.run_in(Path::new(""))
+    }
+
+    /// The same with names as seen from a folder.
+    pub(crate) fn run_in(&self, here: &Path) -> Result<()> {
+        if !self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld")) {
+            let output = self.output.display();
+            return Err(Error::Argument(format!("--output {output}: a name that ends with .pworld was expected")));
+        }
+        let across = self.across.unwrap_or(self.sheets.len() as u32);
+        let rows = (self.sheets.len() as u32).div_ceil(across);
+        let [times_x, times_z] = self.repeat.unwrap_or([1, 1]);
+        let mut manifest: Option<Manifest> = None;
+        let mut first = PathBuf::new();
+        let places = (0..).flat_map(|z| (0..across).map(move |x| (x, z)));
+        let mut named = Vec::new();
+        for (name, (x, z)) in self.sheets.iter().zip(places).filter(|(name, _)| *name != Path::new("-")) {
+            let file = if remote::is_url(name) { open::scene(name)? } else { PcastFile::open(here.join(name))? };
+            let (dims, about) = (file.dims(), file.about());
+            let found = Manifest {
+                pworld: 1,
+                sheet: [dims[0], dims[2]],
+                grid: [across.saturating_mul(times_x), rows.saturating_mul(times_z)],
+                height: dims[1],
+                encoding: file.encoding(),
+                color: file.color(),
+                height_field: crate::TileSource::is_height_field(&file),
+                crs: about.crs.clone(),
+                coarse: None,
+                coarse_level: 0,
+                sheets: Vec::new(),
+            };
+            match &mut manifest {
+                None => (manifest, first) = (Some(found), name.clone()),
+                Some(all) => {
+                    all.height_field &= found.height_field;
+                    let differ = |what: &str, a: &dyn std::fmt::Debug, b: &dyn std::fmt::Debug| {
+                        let what = format!("{what} {a:?}, {} has {b:?}; sheets of a world are alike", first.display());
+                        Err(Error::format(name, what))
+                    };
+                    if (found.sheet, found.height) != (all.sheet, all.height) {
+                        let dims = |m: &Manifest| [m.sheet[0], m.height, m.sheet[1]];
+                        return differ("has voxels", &dims(&found), &dims(all));
+                    }
+                    if (found.encoding, found.color) != (all.encoding, all.color) {
+                        return differ(
+                            "has encoding and colours",
+                            &(found.encoding, found.color),
+                            &(all.encoding, all.color),
+                        );
+                    }
+                    if found.crs != all.crs {
+                        return differ("has the coordinate system", &found.crs, &all.crs);
+                    }
+                }
+            }
+            named.push((name, x, z));
+        }
+        let Some(mut manifest) = manifest else {
+            return Err(Error::Argument("no sheets: all places are empty".to_owned()));
+        };
+        // Files are named as seen from the manifest.
+        let folder = resolved(&self.output).parent().map(Path::to_path_buf).unwrap_or_default();
+        let seen = |name: &Path| match remote::is_url(name) {
+            true => name.to_owned(),
+            false => {
+                let file = resolved(&here.join(name));
+                file.strip_prefix(&folder).map(Path::to_path_buf).unwrap_or(file)
+            }
+        };
+        let all = u64::from(times_z).saturating_mul(times_x.into()).saturating_mul(named.len() as u64);
+        if named.len() == 1 && across == 1 && rows == 1 {
+            let (name, ..) = named[0];
+            manifest.sheets.push(Sheet { file: seen(name), x: 0, z: 0, nx: times_x, nz: times_z });
+        } else if all > 1 << 20 {
+            return Err(Error::Argument(format!("{all} sheets by name, at most {} were expected", 1 << 20)));
+        } else {
+            for (i, j) in (0..times_z).flat_map(|j| (0..times_x).map(move |i| (i, j))) {
+                let at = |&(name, x, z): &(&PathBuf, u32, u32)| Sheet {
+                    file: seen(name),
+                    x: i * across + x,
+                    z: j * rows + z,
+                    nx: 1,
+                    nz: 1,
+                };
+                manifest.sheets.extend(named.iter().map(at));
+            }
+        }
+        let no_files = |file: &Path| Err(Error::Argument(format!("{}: nobody asks for it", file.display())));
+        let world = Sheets::new(&self.output, manifest.clone(), Box::new(no_files))?;
+        let text = serde_json::to_vec_pretty(&manifest).expect("plain values have a JSON form");
+        format::write::write_atomic(&self.output, |out| {
+            out.write_all(&text).map_err(|e| Error::io(&self.output, "write", e))
+        })?;
+        let [nx, ny, nz] = crate::TileSource::dims(&world);
+        crate::note!("{}: {nx} × {ny} × {nz} voxels, {} sheets", self.output.display(), all);
+        Ok(())
+    }
+}
+
 /// Check every byte of a scene, and name all tiles that are broken
 #[derive(Clone, Debug, clap::Args)]
 pub struct VerifyArgs {
@@ -476,7 +608,14 @@ impl DecodeArgs {
         keep_input(&self.scene, "--output", &self.output)?;
         let begun = Instant::now();
         let output = Output::new(&self.output)?;
-        decode_to_raw(&read_scene(&open::scene(&self.scene)?, self.skip_broken)?, output.file())?;
+        let scene = read_scene(&open::scene(&self.scene)?, self.skip_broken)?;
+        if scene.classes.is_some() {
+            crate::note!(
+                "note: {}: translucent matter is left out, the volume says what is solid",
+                self.scene.display()
+            );
+        }
+        decode_to_raw(&scene, output.file())?;
         let made = Made::new(Some(&self.output), output.file());
         output.finish()?;
         made.tell(begun, "");

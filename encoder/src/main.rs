@@ -11,6 +11,7 @@ use planecast_encoder::cli;
 enum Command {
     Encode(cli::EncodeArgs),
     Merge(cli::MergeArgs),
+    World(cli::WorldArgs),
     Verify(cli::VerifyArgs),
     Decode(cli::DecodeArgs),
     Info(cli::InfoArgs),
@@ -28,6 +29,7 @@ fn main() -> ExitCode {
     let done = match Command::parse() {
         Command::Encode(args) => args.run(),
         Command::Merge(args) => args.run(),
+        Command::World(args) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Decode(args) => args.run(),
         Command::Info(args) => args.run(),

@@ -6,13 +6,15 @@ struct Level {
     columns: u32,
     runs: u32,
     blocks: u32,
+    // Blocks a row; where tiles stand in slots, tiles a side of the window, as a power of two.
     blocks_row: u32,
     bottom: i32,
     top: i32,
     paint: u32,
     exposed: u32,
     colors: u32,
-    _pad0: u32,
+    // Slots of the window's tiles, among the runs.
+    pages: u32,
 }
 
 @group(0) @binding(2) var<uniform> levels: array<Level, MAX_LEVELS>;
@@ -55,10 +57,25 @@ fn column_entry(l: u32, ix: u32) -> vec2<u32> {
 //!endif
 }
 
+//!if PAGED
+// Slot of the tile that holds a cell within the level.
+fn slot_of(l: u32, cell: vec2<u32>) -> u32 {
+    let shift = levels[l].blocks_row;
+    let at = (cell >> vec2(TILE_SHIFT)) & vec2((1u << shift) - 1u);
+    return runs(levels[l].pages + ((at.y << shift) | at.x));
+}
+
+//!endif
 // Height bounds of the block that holds a cell within the level.
 fn block_of(l: u32, cell: vec2<i32>) -> u32 {
     let at = vec2<u32>(cell) >> vec2(BLOCK_SHIFT);
+//!if PAGED
+    let within = at & vec2((1u << (TILE_SHIFT - BLOCK_SHIFT)) - 1u);
+    let row = (slot_of(l, vec2<u32>(cell)) << (TILE_SHIFT - BLOCK_SHIFT)) | within.y;
+    return runs(levels[l].blocks + ((row << (TILE_SHIFT - BLOCK_SHIFT)) | within.x));
+//!else
     return runs(levels[l].blocks + at.y * levels[l].blocks_row + at.x);
+//!endif
 }
 
 fn run_first(run: u32) -> i32 {
@@ -71,7 +88,13 @@ fn run_end(run: u32) -> i32 {
 
 // Number of a column in its level's tables; cells are already within the level.
 fn column_index(l: u32, x: i32, z: i32) -> u32 {
+//!if PAGED
+    let cell = vec2(u32(x), u32(z));
+    let within = cell & vec2((1u << TILE_SHIFT) - 1u);
+    return (((slot_of(l, cell) << TILE_SHIFT) | within.y) << TILE_SHIFT) | within.x;
+//!else
     return u32(z * levels[l].size.x + x);
+//!endif
 }
 
 // A cell brought into the first period.
@@ -107,8 +130,13 @@ fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
             // All voxels of a column have its colour.
             return paint(levels[l].colors + ix);
         }
-        let start = paint(levels[l].paint + ix);
-        let to = paint(levels[l].paint + ix + 1u);
+//!if PAGED
+        let at_starts = levels[l].paint + 2u * ix;
+//!else
+        let at_starts = levels[l].paint + ix;
+//!endif
+        let start = paint(at_starts);
+        let to = paint(at_starts + 1u);
         if (start == to) {
             return UNPAINTED;
         }

@@ -57,6 +57,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bench", "  planecast bench --quick -o bench"),
     ("report", "  planecast report dem.pcast -o report --quick\n  planecast report --stability -o stability"),
     ("completions", "  planecast completions bash >~/.local/share/bash-completion/completions/planecast"),
+    ("world", "  planecast world north.pcast south.pcast -o land.pworld --across 1"),
     ("man", "  planecast man -o ~/.local/share/man/man1"),
 ];
 

@@ -5,6 +5,7 @@
 
 pub mod demo;
 pub mod help;
+pub mod residency;
 pub mod words;
 
 use std::ffi::{OsStr, OsString};
@@ -20,15 +21,18 @@ use glam::DVec3;
 use planecast_encoder::cli::{InputArgs, Made};
 use planecast_encoder::format::write::{keep_input, resolved};
 use planecast_encoder::inspect::info;
+use planecast_encoder::model::transfer::Transfer;
 use planecast_encoder::source::ReadOptions;
 use planecast_encoder::store::guard;
 use planecast_encoder::{About, Error as FileError, Scene, note, say};
 use serde_json::json;
 
+use self::residency::{Held, ResidencyArgs};
 use crate::cpu::pick;
 use crate::cpu::renderer;
 use crate::film::fly::{self, Film, Kind};
 use crate::film::path::{Path, Pose};
+use crate::film::timeline::Timeline;
 use crate::film::tour::{self, View};
 use crate::film::video::{Encoder, padded, segment_frames};
 use crate::frame::aim::{AimArgs, Typed};
@@ -76,6 +80,7 @@ pub(crate) fn features_built() -> String {
         ("report", cfg!(feature = "report")),
         ("view", cfg!(feature = "view")),
         ("zarr", cfg!(feature = "zarr")),
+        ("dicom", cfg!(feature = "dicom")),
         ("object-store", cfg!(feature = "object-store")),
     ];
     let names = |on: bool| {
@@ -89,6 +94,7 @@ pub(crate) fn features_built() -> String {
 pub enum Command {
     Encode(planecast_encoder::cli::EncodeArgs),
     Merge(planecast_encoder::cli::MergeArgs),
+    World(planecast_encoder::cli::WorldArgs),
     Verify(planecast_encoder::cli::VerifyArgs),
     Decode(planecast_encoder::cli::DecodeArgs),
     Info(planecast_encoder::cli::InfoArgs),
@@ -211,6 +217,9 @@ pub struct FlyArgs {
     /// Also write what the last frame drawn cost (JSON)
     #[arg(long, value_name = "S.json")]
     stats: Option<PathBuf>,
+    /// Also write what each frame took, one a line (CSV): stages in ms; tiles wanted, used and evicted; bytes; debt; lod
+    #[arg(long, value_name = "T.csv")]
+    timeline: Option<PathBuf>,
     #[command(flatten)]
     aim: AimArgs,
     #[command(flatten)]
@@ -456,6 +465,9 @@ pub struct DrawArgs {
     /// Neighbours that occlusion is taken from, 1 to 64
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64), default_value = "10")]
     ssao_samples: u32,
+    /// Colours and opacities of a volume's values, where it was encoded with --classes: a JSON file, or bone, soft-tissue, smoke, cloud
+    #[arg(long, value_name = "FILE.json|PRESET")]
+    transfer: Option<String>,
     /// Distance, voxels, at which fog has taken 63 % of a colour [default: clear air]
     #[arg(long, value_name = "V", value_parser = positive)]
     fog: Option<f64>,
@@ -483,6 +495,8 @@ pub struct DrawArgs {
     /// Draw a scene with broken tiles, those as empty
     #[arg(long)]
     skip_broken: bool,
+    #[command(flatten)]
+    residency: ResidencyArgs,
     /// Threads to draw with [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -799,6 +813,19 @@ impl DrawArgs {
         Err(Error::Argument(format!("--sky none: {output} has no transparency; write PNG, or a folder of them")))
     }
 
+    /// What needs the whole world, of one that comes in tiles.
+    fn check_tiles(&self, annotate: bool) -> Result<()> {
+        let needs =
+            [(annotate, "--annotate"), (self.kernel.is_some(), "--kernel"), (self.looks_round(), "--projection")];
+        match needs.into_iter().find(|(given, _)| *given) {
+            Some((_, "--projection")) if self.projection == Projection::Cube => Ok(()),
+            Some((_, flag)) => Err(Error::Argument(format!(
+                "{flag}: needs the whole world in memory, and this one comes in tiles; leave it out, or give --residency whole"
+            ))),
+            None => Ok(()),
+        }
+    }
+
     fn view(&self, size: [u32; 2]) -> View {
         let fov = if self.looks_round() { Projection::Perspective.usual_fov() } else { self.fov() };
         View { fov, size, repeat: self.repeat() }
@@ -817,7 +844,7 @@ impl DrawArgs {
         surface: &Surface,
         measured: bool,
         options: &mut Options,
-    ) -> (Arc<Scene>, Arc<Resident>) {
+    ) -> Result<(Arc<Scene>, Arc<Resident>)> {
         let drawn = options.drawn();
         if *options != drawn {
             *options = drawn;
@@ -831,6 +858,7 @@ impl DrawArgs {
         // A surface is drawn from heights alone.
         let features = if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
         let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+        self.set_transfer(&resident)?;
         if options.smooth && !resident.heights {
             options.smooth = false;
             if !surface.stands {
@@ -845,7 +873,26 @@ impl DrawArgs {
                 "derived normals: the scene has no solid interior (--encoding surface); those of the screen are drawn",
             );
         }
-        (Arc::new(scene), Arc::new(resident))
+        Ok((Arc::new(scene), Arc::new(resident)))
+    }
+
+    /// What is said of translucent matter instead of what the scene says.
+    fn set_transfer(&self, resident: &Resident) -> Result<()> {
+        let Some(name) = &self.transfer else { return Ok(()) };
+        let window = resident.matter.as_ref().and_then(|matter| matter.classes.window);
+        let Some((matter, window)) = resident.matter.as_ref().zip(window) else {
+            return Err(Error::Argument(format!(
+                "--transfer {name}: the scene has no steps of values to colour; encode a volume with --classes N"
+            )));
+        };
+        let transfer = Transfer::open(name, window)?;
+        transfer.left_out.iter().for_each(|what| tell(&format!("--transfer {name}: left out {what}")));
+        matter.set_transfer(&transfer);
+        if matter.look().is_clear() {
+            let [low, high] = window;
+            tell(&format!("--transfer {name}: all is clear; the steps of the scene go from {low} to {high}"));
+        }
+        Ok(())
     }
 
     fn set_threads(&self) -> Result<()> {
@@ -871,15 +918,18 @@ fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<
 }
 
 /// What is known of the surface that a scene stands for.
-struct Surface {
+pub struct Surface {
     stands: bool,
     about: About,
+    /// As `info` has it.
+    content: String,
 }
 
 impl Surface {
     fn of(opened: &planecast_encoder::encode::open::Opened) -> Surface {
         let about = opened.file.about().clone();
-        Surface { stands: is_surface(&about, opened.encoded), about }
+        let content = info::content_hash(&opened.file);
+        Surface { stands: is_surface(&about, opened.encoded), about, content }
     }
 }
 
@@ -936,26 +986,45 @@ impl RenderArgs {
         check_outputs(&[Some(&self.scene)], &outputs)?;
         self.draw.set_threads()?;
         let mut options = self.draw.options();
-        let (scene, surface) = open_scene(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let typed = Typed { eye: self.eye, yaw: self.yaw, pitch: self.pitch, roll: self.roll };
-        let pose = self.aim.pose(typed, &scene, self.draw.view(size))?;
-        let pose = self.draw.looking_round(pose, self.eye, self.pitch, self.aim.is_given(), &scene);
-        let camera = self.draw.camera(pose, size);
-        // Who asks for depths or voxels measures what is there.
-        let measured = self.depth.is_some() || self.voxel.is_some();
-        let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options);
+        let view = self.draw.view(size);
         let outputs = Outputs { voxel: self.voxel.is_some() };
-        let mut renderer = self.draw.renderer(&scene, &resident)?;
-        let mut frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
-        if self.annotate {
-            annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+        let (mut frame, camera, dims, about);
+        let mut shows_matter = false;
+        match self.draw.residency.open(&self.scene, &shown(&self.input.read), self.draw.skip_broken)? {
+            Held::Whole { scene, surface } => {
+                let pose = self.aim.pose(typed, &scene, view)?;
+                let pose = self.draw.looking_round(pose, self.eye, self.pitch, self.aim.is_given(), &scene);
+                camera = self.draw.camera(pose, size);
+                // Who asks for depths or voxels measures what is there.
+                let measured = self.depth.is_some() || self.voxel.is_some();
+                let (scene, resident) = self.draw.shared(scene, &surface, measured, &mut options)?;
+                shows_matter = resident.matter.is_some();
+                let mut renderer = self.draw.renderer(&scene, &resident)?;
+                frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+                if self.annotate {
+                    annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+                }
+                (dims, about) = (scene.dims(), surface.about);
+            }
+            Held::Tiles(tiles) => {
+                self.draw.check_tiles(self.annotate)?;
+                let preview = &tiles.preview;
+                let inner = Typed { eye: self.eye.map(|eye| preview.within(eye)), ..typed };
+                let pose = preview.pose(preview.aim(&self.aim).pose(inner, &preview.scene, view)?);
+                camera = self.draw.camera(pose, size);
+                let mut renderer = self.draw.residency.renderer(&tiles, self.draw.device)?;
+                renderer.set_count(self.stats.is_some());
+                frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
+                (dims, about) = (tiles.source.dims(), tiles.about);
+            }
         }
 
         let mut files = Vec::new();
         match (scan, named_file(&self.output)) {
             (Some(kind), Some(path)) => {
-                let rays = Rays::new(&camera, options.projection, scene.dims());
-                let bytes = scan::write(kind, &frame, &rays, &surface.about)?;
+                let rays = Rays::new(&camera, options.projection, dims);
+                let bytes = scan::write(kind, &frame, &rays, &about)?;
                 files.push(output::write(path, |out| out.write_all(&bytes))?);
                 files
                     .push(output::write(&scan::beams_file(path), |out| scan::beams(out, &camera, options.projection))?);
@@ -991,8 +1060,8 @@ impl RenderArgs {
                 print_bytes(&bytes)?;
             }
         }
-        if frame.depth.iter().all(|d| d.is_infinite()) {
-            let dims = scene.dims().map(|v| v.to_string()).join(" x ");
+        if !shows_matter && frame.depth.iter().all(|d| d.is_infinite()) {
+            let dims = dims.map(|v| v.to_string()).join(" x ");
             note!(
                 "nothing but sky is in the picture: the scene is {dims} voxels from 0,0,0, the eye is at {:?}",
                 camera.eye.to_array()
@@ -1036,7 +1105,7 @@ impl RenderArgs {
         for dir in [Some(&self.output), depth.as_ref(), voxel.as_ref()].into_iter().flatten() {
             std::fs::create_dir_all(dir).map_err(|e| FileError::io(dir, "make", e))?;
         }
-        let (scene, resident) = self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options);
+        let (scene, resident) = self.draw.shared(scene, &surface, depth.is_some() || voxel.is_some(), &mut options)?;
         let mut renderer = self.draw.renderer(&scene, &resident)?;
         renderer.set_depth(depth.is_some());
         renderer.set_count(stats_file.is_some());
@@ -1110,7 +1179,11 @@ impl FlyArgs {
         if !self.plan {
             kind.check(size, self.fps)?;
         }
-        let mut outputs = vec![("--save-path", self.save_path.as_ref()), ("--stats", self.stats.as_ref())];
+        let mut outputs = vec![
+            ("--save-path", self.save_path.as_ref()),
+            ("--stats", self.stats.as_ref()),
+            ("--timeline", self.timeline.as_ref()),
+        ];
         if !matches!(kind, Kind::Folder | Kind::Stdout) {
             outputs.push(("--output", Some(&self.output)));
         }
@@ -1126,15 +1199,23 @@ impl FlyArgs {
             let what = "--look-at, --orbit, --fit and --top make a path of their own; leave out --path and --tour";
             return Err(Error::Argument(what.to_owned()));
         }
-        let opened = planecast_encoder::cli::open(&self.scene, &shown(&self.input.read))?;
-        let surface = Surface::of(&opened);
-        let file = opened.file;
-        let content = info::content_hash(&file);
-        let scene = planecast_encoder::cli::read_scene(&file, self.draw.skip_broken)?;
-        drop(file);
         let view = self.draw.view(size);
-        let given = given.or_else(|| self.aim.path(&scene, view));
-        let path = given.unwrap_or_else(|| tour::tour(&scene, view));
+        let held = self.draw.residency.open(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
+        let (path, content) = match &held {
+            Held::Whole { scene, surface } => {
+                let path = given.or_else(|| self.aim.path(scene, view)).unwrap_or_else(|| tour::tour(scene, view));
+                (path, surface.content.clone())
+            }
+            Held::Tiles(tiles) => {
+                self.draw.check_tiles(self.annotate)?;
+                let preview = &tiles.preview;
+                let found = || {
+                    let path = preview.aim(&self.aim).path(&preview.scene, view);
+                    preview.path(&path.unwrap_or_else(|| tour::tour(&preview.scene, view)))
+                };
+                (given.unwrap_or_else(found), format!("{} {:?}", tiles.source.name(), tiles.source.dims()))
+            }
+        };
         if let Some(file) = &self.save_path {
             output::write(file, |out| out.write_all(path.to_json().as_bytes()))?.finish()?;
         }
@@ -1164,10 +1245,19 @@ impl FlyArgs {
             })?;
         }
 
-        let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options);
-        let mut renderer = self.draw.renderer(&scene, &resident)?;
-        renderer.set_count(self.stats.is_some());
+        let mut whole = None;
+        let mut renderer = match held {
+            Held::Whole { scene, surface } => {
+                let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options)?;
+                let renderer = self.draw.renderer(&scene, &resident)?;
+                whole = Some((scene, resident, surface.about));
+                renderer
+            }
+            Held::Tiles(tiles) => self.draw.residency.renderer(&tiles, self.draw.device)?,
+        };
+        renderer.set_count(self.stats.is_some() || self.timeline.is_some());
         renderer.set_depth(self.annotate);
+        let mut timeline = self.timeline.as_ref().map(|_| Timeline::new(options.lod));
         let spherical = self.draw.projection == Projection::Equirect;
         if spherical && size[0] != 2 * size[1] {
             tell("players show a film of the whole sphere as twice as wide as high; --size 3840x1920 is");
@@ -1189,13 +1279,20 @@ impl FlyArgs {
         };
         let draw = &mut |cameras: &[Camera], spare: Option<Frame>| {
             renderer.reuse(spare);
+            let at = Instant::now();
             let mut frame = renderer.draw_first(cameras, &options, Outputs::default(), &mut tell)?;
-            if self.annotate {
-                annotate(&mut frame, &cameras[0], &scene, &resident, &surface.about);
+            if let Some(timeline) = &mut timeline {
+                timeline.push(film.range.end - cameras.len(), at.elapsed().as_secs_f64() * 1e3, &frame.stats);
+            }
+            if let (true, Some((scene, resident, about))) = (self.annotate, &whole) {
+                annotate(&mut frame, &cameras[0], scene, resident, about);
             }
             Ok(frame)
         };
         let outcome = fly::fly(&film, draw)?;
+        if let (Some(file), Some(timeline)) = (&self.timeline, timeline) {
+            output::write(file, |out| out.write_all(timeline.csv().as_bytes()))?.finish()?;
+        }
         if let (Some(file), Some(stats)) = (&self.stats, &outcome.stats) {
             output::write(file, |out| output::json(out, stats))?.finish()?;
         }
@@ -1285,6 +1382,12 @@ impl ReportArgs {
         let Some(scene) = &self.scene else {
             return self.stability();
         };
+        let choice = self.choice(scene, &mut tell)?;
+        choice.map_or(Ok(()), |text| print(&(text + "\n")))
+    }
+
+    /// What was chosen, if a choice was asked for.
+    fn choice(&self, scene: &FilePath, tell: &mut dyn FnMut(&str)) -> Result<Option<String>> {
         let path = self.path.as_ref().map(|file| Path::read(file, self.fov)).transpose()?;
         let job = report::Job {
             folder: &self.output,
@@ -1302,8 +1405,7 @@ impl ReportArgs {
             budget_ms: self.budget_ms,
             max_error: self.max_error,
         };
-        let choice = report::report(scene, &self.input.read, &job, &mut tell)?;
-        choice.map_or(Ok(()), |text| print(&(text + "\n")))
+        report::report(scene, &self.input.read, &job, tell)
     }
 
     fn stability(&self) -> Result<()> {
@@ -1397,6 +1499,7 @@ pub fn run(args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> ExitCode {
     exit(match cli.command {
         Command::Encode(args) => args.run().map_err(Error::from),
         Command::Merge(args) => args.run().map_err(Error::from),
+        Command::World(args) => args.run().map_err(Error::from),
         Command::Verify(args) => args.run().map_err(Error::from),
         Command::Decode(args) => args.run().map_err(Error::from),
         Command::Info(args) => args.run().map_err(Error::from).inspect(|()| {

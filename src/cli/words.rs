@@ -112,6 +112,25 @@ pub fn flight(words: &[String], path: Option<&str>, scene: &Scene) -> Result<Fli
     Ok(Flight { cameras, range, fps: args.fps, encoder: args.encoder, options, device, kernel })
 }
 
+/// Makes the report of a scene in a folder, told by these words; what was chosen, if they ask for a choice. `tell` hears of the
+/// progress.
+///
+/// # Errors
+/// As [`encoding`], and those of [`crate::measure::report::report`].
+#[cfg(feature = "report")]
+pub fn report(
+    scene: &std::path::Path,
+    folder: &std::path::Path,
+    words: &[String],
+    tell: &mut dyn FnMut(&str),
+) -> Result<Option<String>> {
+    let Command::Report(mut args) = command("report", &["--output=folder", "--", "world"], words)? else {
+        unreachable!("the command is report");
+    };
+    args.output = folder.to_owned();
+    args.choice(scene, tell)
+}
+
 /// A flag's name as it is typed, for a word of another language.
 pub fn flag(name: &str) -> String {
     format!("--{}", name.replace('_', "-"))

@@ -88,7 +88,7 @@ impl<'a> Occupancy<'a> {
                 false => return None,
             };
         }
-        Some((at[1] * dims[0] + at[0]) as usize)
+        Some(level.index(at[0] as u32, at[1] as u32))
     }
 }
 

@@ -187,9 +187,14 @@ mod tests {
     fn pick_report_has_the_voxels_colour() {
         let solid = world(2, |x, y, z| (x, z) == (1, 0) || (x, y, z) == (0, 1, 1));
         let colors = vec![[1, 2, 3], [16, 32, 255], [9, 9, 9]];
-        let level = Level { exposed: Some(solid.clone()), solid, colors };
-        let scene =
-            Scene { encoding: Encoding::Solid, color: ColorMode::Voxel, mip_rule: MipRule::Any, levels: vec![level] };
+        let level = Level { exposed: Some(solid.clone()), solid, colors, matter: None };
+        let scene = Scene {
+            encoding: Encoding::Solid,
+            color: ColorMode::Voxel,
+            mip_rule: MipRule::Any,
+            levels: vec![level],
+            classes: None,
+        };
         let json = |from, dir| serde_json::to_string(&report(&scene, from, dir).unwrap()).unwrap();
         assert_eq!(
             json(DVec3::new(1.5, 4.0, 0.5), DVec3::NEG_Y),

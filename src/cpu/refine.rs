@@ -178,7 +178,7 @@ impl<'a> Walk<'a> {
                     false => cell[k] as u32,
                 });
                 if wrapped[0] < size[0] && wrapped[1] < size[1] {
-                    let ix = (wrapped[1] * size[0] + wrapped[0]) as usize;
+                    let ix = self.level.index(wrapped[0], wrapped[1]);
                     if let Some((run, y, depth)) = self.column(ray, ix, q0, q1) {
                         if turn == 0 && depth == q0 && q0 > 0.0 {
                             return Stretch::Inside;

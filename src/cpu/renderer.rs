@@ -7,18 +7,18 @@ use crate::cpu::shadow::{ExactShadows, Shadows, Sunlight, Tops};
 use crate::cpu::smooth::{self, Ground};
 use crate::cpu::sphere::Sphere;
 use crate::cpu::traverse::{Counters, PlaneBuffer, Real, SKY};
-use crate::cpu::{gap_fill, raycast, refine, remap, resize, shade, shade_rays};
+use crate::cpu::{exact_matter, gap_fill, matter, raycast, refine, remap, resize, shade, shade_rays};
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
 use crate::frame::options::{Normals, Options, Planes, Remap, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
-use crate::frame::picture::{Frame, StageTimes, Stats};
+use crate::frame::picture::{Frame, PagingStats, StageTimes, Stats};
 use crate::frame::plane_setup::sphere::Layout;
 use crate::frame::plane_setup::{EYE_LIMIT, Plane, Setup, plane_setup, plane_setup_in};
 use crate::frame::projection::{Projection, Rays, face_cameras, join_faces};
 use crate::frame::specialize::{Specialization, Twin};
 use crate::world::tables::Resident;
 use crate::world::tree::Tree;
-use planecast_encoder::{ColorMode, Encoding, Scene};
+use planecast_encoder::{ColorMode, Encoding, Run, Scene};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -37,7 +37,8 @@ const SPHERE_LIMIT: u64 = 1 << 28;
 
 /// Draws frames of one scene on the CPU. Keeps its buffers from frame to frame.
 pub struct CpuRenderer {
-    scene: Arc<Scene>,
+    /// None of a world whose tiles are not all there.
+    scene: Option<Arc<Scene>>,
     resident: Arc<Resident>,
     /// Memory of the latest frame's planes.
     planes: Vec<Plane>,
@@ -139,7 +140,24 @@ fn milliseconds(since: Instant) -> f64 {
 
 impl CpuRenderer {
     pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>) -> CpuRenderer {
-        let (scene, resident) = (Arc::clone(scene), Arc::clone(resident));
+        CpuRenderer::of(Some(Arc::clone(scene)), Arc::clone(resident))
+    }
+
+    /// Draws from tables alone: by planes, in perspective, without shadows and surfaces.
+    pub fn of_tables(resident: Arc<Resident>) -> CpuRenderer {
+        CpuRenderer::of(None, resident)
+    }
+
+    pub fn tables(&self) -> &Resident {
+        &self.resident
+    }
+
+    /// The tables, to be changed between frames; `None` while others have them too.
+    pub fn tables_mut(&mut self) -> Option<&mut Resident> {
+        Arc::get_mut(&mut self.resident)
+    }
+
+    pub(crate) fn of(scene: Option<Arc<Scene>>, resident: Arc<Resident>) -> CpuRenderer {
         let (color, index, doubt) = (Vec::new(), Vec::new(), Vec::new());
         let (buffer, shade) = (PlaneBuffer::default(), shade::Scratch::default());
         CpuRenderer {
@@ -196,7 +214,7 @@ impl CpuRenderer {
             Projection::Ortho { .. } => return self.rays(camera, options, outputs, "cpu"),
             _ => return self.render_sphere(camera, options, outputs),
         }
-        if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
+        if let Some(frame) = inside_solid(self.scene.as_deref(), &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
         if self.casts_rays {
@@ -237,10 +255,11 @@ impl CpuRenderer {
 
         let at = Instant::now();
         self.shade(camera, options, Some(&setup), &mut frame);
+        self.matter(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
 
         let kernel = if self.casts_rays { "raycast" } else { "planes" };
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", kernel);
+        frame.stats = frame_stats(&self.resident, camera, options, "cpu", kernel);
         of_planes(&mut frame.stats, &setup, specialization, counters);
         [frame.stats.holes, _] = holes;
         frame.stats.cpu_ms = Some(StageTimes {
@@ -295,7 +314,7 @@ impl CpuRenderer {
         } else {
             std::thread::scope(|scope| {
                 for _ in 0..threads {
-                    let mut cpu = CpuRenderer::new(&self.scene, &self.resident);
+                    let mut cpu = CpuRenderer::of(self.scene.clone(), Arc::clone(&self.resident));
                     let work = &work;
                     scope.spawn(move || {
                         // What would be spread over all threads stays in one.
@@ -342,7 +361,7 @@ impl CpuRenderer {
 
     /// Draws one frame from the planes around the eye, and fills those that it is the first to show.
     fn render_sphere(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<Frame> {
-        if let Some(frame) = inside_solid(&self.scene, &self.resident, camera, options, outputs) {
+        if let Some(frame) = inside_solid(self.scene.as_deref(), &self.resident, camera, options, outputs) {
             return Ok(frame);
         }
         let perspective = options.projection == Projection::Perspective;
@@ -392,8 +411,9 @@ impl CpuRenderer {
             true => self.shade(camera, options, None, &mut frame),
             false => self.shade_rays(camera, options, &rays, &mut frame),
         }
+        self.matter(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, "cpu", "sphere");
+        frame.stats = frame_stats(&self.resident, camera, options, "cpu", "sphere");
         of_planes(&mut frame.stats, &sphere.setup, sphere.specialization, counters);
         frame.stats.cpu_ms = Some(StageTimes {
             setup: setup_ms,
@@ -433,10 +453,15 @@ impl CpuRenderer {
     }
 
     fn rays(&mut self, camera: &Camera, options: &Options, outputs: Outputs, device: &str) -> Result<Frame> {
+        let Some(scene) = self.scene.clone() else {
+            return Err(Error::Argument(format!(
+                "{device}: rays need the whole world in memory; this one comes in tiles"
+            )));
+        };
         // Parallel rays begin beside the eye.
         let inside = match options.projection {
             Projection::Ortho { .. } => None,
-            _ => inside_solid(&self.scene, &self.resident, camera, options, outputs),
+            _ => inside_solid(self.scene.as_deref(), &self.resident, camera, options, outputs),
         };
         if let Some(frame) = inside {
             return Ok(frame);
@@ -444,7 +469,7 @@ impl CpuRenderer {
         let mut frame = self.frame(camera, outputs);
         let start = Instant::now();
         let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
-        crate::cpu::exact::exact(&self.scene, &self.resident, camera, options, color, depth, voxel);
+        crate::cpu::exact::exact(&scene, &self.resident, camera, options, color, depth, voxel);
         let traverse_ms = milliseconds(start);
         let at = Instant::now();
         match options.projection {
@@ -454,7 +479,13 @@ impl CpuRenderer {
                 self.shade_rays(camera, options, &rays, &mut frame);
             }
         }
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, device, "exact");
+        match &self.resident.matter {
+            Some(matter) if device == "exact" => {
+                exact_matter::compose(&scene, matter, camera, options, &mut frame);
+            }
+            _ => self.matter(camera, options, &mut frame),
+        }
+        frame.stats = frame_stats(&self.resident, camera, options, device, "exact");
         frame.stats.cpu_ms = Some(StageTimes {
             traverse: traverse_ms,
             shade: milliseconds(at),
@@ -462,6 +493,13 @@ impl CpuRenderer {
             ..StageTimes::default()
         });
         Ok(frame)
+    }
+
+    /// Translucent matter, over what is solid.
+    fn matter(&self, camera: &Camera, options: &Options, frame: &mut Frame) {
+        if let Some(matter) = &self.resident.matter {
+            matter::compose(matter, camera, options, frame);
+        }
     }
 
     /// The surface of a height field, over its blocks.
@@ -484,13 +522,15 @@ impl CpuRenderer {
                 let tops = self.tops.get_or_insert_with(|| Arc::new(Tops::new(&self.resident)));
                 Some(Sunlight::Walk(Shadows::new(&self.resident, tops, setup, params.sun_world)))
             }
-            (true, None) => Some(Sunlight::Exact(ExactShadows {
-                columns: self.scene.levels[0].geometry(self.scene.encoding),
-                repeats: [options.repeat.x, options.repeat.z],
-                eye: camera.eye,
-                sun: params.sun_world.as_dvec3(),
-                view: crate::cpu::exact::view_distance(options),
-            })),
+            (true, None) => self.scene.as_deref().map(|scene| {
+                Sunlight::Exact(ExactShadows {
+                    columns: scene.levels[0].geometry(scene.encoding),
+                    repeats: [options.repeat.x, options.repeat.z],
+                    eye: camera.eye,
+                    sun: params.sun_world.as_dvec3(),
+                    view: crate::cpu::exact::view_distance(options),
+                })
+            }),
         };
         let repeats = [options.repeat.x, options.repeat.z];
         let ground = options.smooth.then(|| Ground::new(&self.resident, repeats)).flatten();
@@ -502,7 +542,7 @@ impl CpuRenderer {
             }
         });
         let of_exact;
-        let derived = derives_normals(&self.scene, options) && surface.is_none();
+        let derived = derives_normals(&self.resident, options) && surface.is_none();
         let setup = match setup {
             None if derived => {
                 of_exact = plane_setup(&self.resident, camera, options);
@@ -588,20 +628,20 @@ impl CpuRenderer {
 }
 
 /// Whether normals come from what is solid: not where the interior was left out, nor where nothing is lit by them.
-pub(crate) fn derives_normals(scene: &Scene, options: &Options) -> bool {
+pub(crate) fn derives_normals(resident: &Resident, options: &Options) -> bool {
     let lit = options.lit() != Shading::None;
-    options.normals == Normals::Derived && lit && scene.encoding == Encoding::Solid
+    options.normals == Normals::Derived && lit && resident.encoding == Encoding::Solid
 }
 
 /// An eye inside a solid voxel sees that voxel at depth 0 in every pixel.
 pub(crate) fn inside_solid(
-    scene: &Scene,
+    scene: Option<&Scene>,
     resident: &Resident,
     camera: &Camera,
     options: &Options,
     outputs: Outputs,
 ) -> Option<Frame> {
-    let [nx, ny, nz] = scene.dims();
+    let [nx, ny, nz] = resident.dims;
     let cell = camera.eye.floor();
     let place = |v: f64, n: u32, repeat: bool| {
         let v = v as i64;
@@ -610,19 +650,26 @@ pub(crate) fn inside_solid(
     let x = place(cell.x, nx, options.repeat.x)?;
     let y = place(cell.y, ny, false)?;
     let z = place(cell.z, nz, options.repeat.z)?;
-    let solid = &scene.levels[0].solid;
-    solid.find(x, y, z)?;
-    // Which run of the geometry holds it: a surface scene's interior lies in none.
-    let geometry = scene.levels[0].geometry(scene.encoding);
-    let column = geometry.index(x, z);
-    let range = geometry.range(column);
-    let k = geometry.find(x, y, z).map_or(0, |run| (range.end - 1 - run) as u32);
+    let column = resident.levels[0].index(x, z);
+    let k = match scene {
+        Some(scene) => {
+            scene.levels[0].solid.find(x, y, z)?;
+            // Which run of the geometry holds it: a surface scene's interior lies in none.
+            let geometry = scene.levels[0].geometry(scene.encoding);
+            let range = geometry.range(geometry.index(x, z));
+            geometry.find(x, y, z).map_or(0, |run| (range.end - 1 - run) as u32)
+        }
+        None => {
+            let holds = |run: Run| (u32::from(run.first())..run.end()).contains(&y);
+            resident.levels[0].column(column).position(holds)? as u32
+        }
+    };
     let color = resident.levels[0].paint.color(column, k, y);
     let mut frame = empty_frame(camera, outputs);
     frame.depth.fill(0.0);
     frame.color.fill((color | 0xFF00_0000).to_le_bytes());
     frame.voxel.fill([cell.x as i32, cell.y as i32, cell.z as i32, 0]);
-    frame.stats = frame_stats(scene, resident, camera, options, "cpu", "inside");
+    frame.stats = frame_stats(resident, camera, options, "cpu", "inside");
     frame.stats.cpu_ms = Some(StageTimes::default());
     Some(frame)
 }
@@ -654,7 +701,6 @@ fn of_planes(stats: &mut Stats, setup: &Setup, specialization: Specialization, c
 
 /// What is known of a frame before it is drawn.
 pub(crate) fn frame_stats(
-    scene: &Scene,
     resident: &Resident,
     camera: &Camera,
     options: &Options,
@@ -662,7 +708,7 @@ pub(crate) fn frame_stats(
     kernel: &str,
 ) -> Stats {
     let mut specialization = Vec::new();
-    match scene.color {
+    match resident.color {
         ColorMode::None => {}
         ColorMode::Run => specialization.push("color-run".into()),
         ColorMode::Voxel => specialization.push("color-voxel".into()),
@@ -680,8 +726,9 @@ pub(crate) fn frame_stats(
         Shading::Full => specialization.extend(["ssn".into(), "ssao".into()]),
     }
     specialization.extend(options.shadows.then(|| "shadows".into()));
-    specialization.extend(derives_normals(scene, options).then(|| "derived-normals".into()));
+    specialization.extend(derives_normals(resident, options).then(|| "derived-normals".into()));
     specialization.extend(options.smooth.then(|| "smooth".into()));
+    specialization.extend(resident.matter.is_some().then(|| "matter".into()));
     Stats {
         device: device.into(),
         kernel: kernel.into(),
@@ -689,6 +736,7 @@ pub(crate) fn frame_stats(
         width: camera.width,
         height: camera.height,
         specialization,
+        paging: PagingStats { bytes_resident: resident.bytes(), ..PagingStats::default() },
         ..Stats::default()
     }
 }

@@ -711,9 +711,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
                             -(w & ((1 << BLOCK_SHIFT) - 1)) - 1
                         };
                 }
-                let block_row = (level.nx as usize).div_ceil(1 << BLOCK_SHIFT);
-                let block = (wrapped[1] as usize >> BLOCK_SHIFT) * block_row + (wrapped[0] as usize >> BLOCK_SHIFT);
-                let bounds = Run(level.blocks[block]);
+                let [wx, wz] = wrapped.map(|v| v as u32);
+                let bounds = Run(level.blocks[level.block(wx, wz)]);
                 let stop_line = |axis: usize| (stop[axis] + 1 - ahead[axis]) << l;
                 let exit = [cross(0, stop_line(0)), cross(1, stop_line(1))];
                 let t_exit = exit[0].min(exit[1]);
@@ -757,10 +756,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
 
                 // Column by column through the block. Both axes in variables of their own: an array indexed by axis would live
                 // in memory.
-                let mut index = wrapped[1] as isize * size[0] as isize + wrapped[0] as isize;
+                let mut index = level.index(wx, wz) as isize;
                 let [mut x, mut z] = cell;
                 let (mut next_x, mut next_z) = (cross(0, (x + ahead[0]) << l), cross(1, (z + ahead[1]) << l));
-                let steps = [step[0] as isize, step[1] as isize * size[0] as isize];
+                let steps = [step[0] as isize, step[1] as isize * level.row() as isize];
                 // Both lines ahead, from the eye, and both crossings anew at each step: that is less than to choose between them.
                 let from_eye = |axis: usize, at: i32| ((at + ahead[axis]) << l).wrapping_sub(eye[axis]);
                 let (mut line_x, mut line_z) = (from_eye(0, x), from_eye(1, z));
@@ -827,7 +826,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
         // A slice's middle can lie beside a world that the slice still touches.
         let inside = |axis: usize, n: i32| setup.repeats[axis] || (0..n).contains(&cell[axis]);
         if t1 > t0 && inside(0, nx) && inside(1, nz) {
-            let index = cell[1].rem_euclid(nz) as usize * nx as usize + cell[0].rem_euclid(nx) as usize;
+            let index = level.index(cell[0].rem_euclid(nx) as u32, cell[1].rem_euclid(nz) as u32);
             self.cell = *cell;
             self.column_apart(level, l, index, t0, t1);
         }
@@ -1066,11 +1065,11 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             return;
         }
         let color = &mut self.color[lanes];
-        let Paint::Voxel { base, exposed, colors } = &level.paint else {
+        let Paint::Voxel { stride, base, exposed, colors } = &level.paint else {
             color.fill(level.paint.color(d.column, d.k, first));
             return;
         };
-        let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+        let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];
         // Mostly all lie in one exposed run.
         let mut paint = Exposed::default();
         paint.find(exposed, if UP { first } else { last });
@@ -1174,9 +1173,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             // Most spans are short: for them a loop over vectors costs more than it saves.
             if to - from < 16
                 && COLOR
-                && let Paint::Voxel { base, exposed, colors } = &level.paint
+                && let Paint::Voxel { stride, base, exposed, colors } = &level.paint
             {
-                let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+                let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];
                 let mut paint = Exposed::default();
                 for (((c, z), sight), slope) in color.iter_mut().zip(depth).zip(depth_t).zip(slope) {
                     *z = (d.t0 * *sight).to_f32();
@@ -1197,8 +1196,8 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Column { colors } => color.fill(colors[d.column]),
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
-                Paint::Voxel { base, exposed, colors } => {
-                    let exposed = &exposed[base[d.column] as usize..base[d.column + 1] as usize];
+                Paint::Voxel { stride, base, exposed, colors } => {
+                    let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];
                     let mut paint = Exposed::default();
                     for (c, s) in color.iter_mut().zip(slope) {
                         *c = colors[paint.find(exposed, y(s))];

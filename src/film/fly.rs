@@ -550,6 +550,9 @@ fn stream_film(film: &Film, draw: &mut Draw) -> Result<Outcome> {
 /// Puts the parts of a film together, in any order, without encoding them again. The file is the one that a single `fly` of the
 /// whole film makes where parts begin at multiples of its segments' frames; else it has a key frame more for each.
 pub fn join(parts: &[PathBuf], output: &Path) -> Result<usize> {
+    if parts.is_empty() {
+        return Err(Error::Argument("no parts of a film to join".to_owned()));
+    }
     let parts = parts.iter().map(|path| Ok(mp4::open_part(path)?)).collect::<Result<Vec<_>>>()?;
     let frames = parts.iter().map(|p| p.note.frames.len()).sum();
     let (form, chunks) = mp4::whole(parts)?;

@@ -3,6 +3,7 @@
 #[cfg(not(target_arch = "wasm32"))]
 pub mod fly;
 pub mod path;
+pub mod timeline;
 pub mod tour;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod video;

@@ -103,6 +103,13 @@ impl Path {
         Ok(Path { keyframes, curves })
     }
 
+    /// The path with other poses at the same times.
+    #[must_use]
+    pub fn with_poses(&self, pose: impl Fn(Pose) -> Pose) -> Path {
+        let keyframes = self.keyframes.iter().map(|key| Keyframe { pose: pose(key.pose), ..*key });
+        Path::new(keyframes.collect()).expect("a pose that is elsewhere is still one")
+    }
+
     /// Reads a path file; keyframes without `fov` take `default_fov`.
     pub fn read(file: &FilePath, default_fov: f64) -> Result<Path> {
         let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, "read", e))?;

@@ -436,8 +436,14 @@ mod tests {
     use super::*;
 
     fn scene(solid: Columns) -> Scene {
-        let level = Level { solid, exposed: None, colors: Vec::new() };
-        Scene { encoding: Encoding::Solid, color: ColorMode::None, mip_rule: MipRule::Any, levels: vec![level] }
+        let level = Level { solid, exposed: None, colors: Vec::new(), matter: None };
+        Scene {
+            encoding: Encoding::Solid,
+            color: ColorMode::None,
+            mip_rule: MipRule::Any,
+            levels: vec![level],
+            classes: None,
+        }
     }
 
     fn view(fov: f64, size: [u32; 2], repeat: Repeat) -> View {

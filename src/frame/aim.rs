@@ -18,6 +18,14 @@ pub struct Orbit {
     distance: Option<f64>,
 }
 
+impl Orbit {
+    /// The same in other units.
+    #[must_use]
+    pub fn scaled(self, by: f64) -> Orbit {
+        Orbit { distance: self.distance.map(|distance| distance * by), ..self }
+    }
+}
+
 fn orbit(s: &str) -> Result<Orbit, String> {
     let wrong = || "expected YAW,PITCH or YAW,PITCH,DISTANCE, as in 30,-20 or 30,-20,400".to_owned();
     let parts: Vec<&str> = s.split(',').collect();
@@ -34,11 +42,11 @@ fn orbit(s: &str) -> Result<Orbit, String> {
 pub struct AimArgs {
     /// Look at this point, voxels [default without --eye: the middle of what is solid]
     #[arg(long, value_name = "X,Y,Z", value_parser = vector)]
-    look_at: Option<DVec3>,
+    pub(crate) look_at: Option<DVec3>,
     /// Go round what is looked at: the directions of view as --yaw and --pitch have them, and how far away, voxels [default: so
     /// far that all is in the picture]
     #[arg(long, value_name = "YAW,PITCH[,DISTANCE]", value_parser = orbit)]
-    orbit: Option<Orbit>,
+    pub(crate) orbit: Option<Orbit>,
     /// Put all of the scene into the picture
     #[arg(long)]
     fit: bool,

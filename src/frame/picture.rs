@@ -68,6 +68,26 @@ impl Stats {
     }
 }
 
+/// What a frame had of the tiles that it wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct PagingStats {
+    /// Pixels that show a coarser tile than they should, each times how many levels coarser.
+    pub debt: u64,
+    /// Tiles that the frame's planes can touch, those that stand-ins are shown for, and those that pixels show.
+    pub tiles_wanted: u32,
+    pub tiles_missing: u32,
+    pub tiles_used: u32,
+    pub tiles_arrived: u32,
+    pub tiles_evicted: u32,
+    pub bytes_read: u64,
+    pub bytes_resident: u64,
+    pub bytes_uploaded: u64,
+    pub unpack_ms: f64,
+    pub upload_ms: f64,
+    /// The level of detail that was drawn, in pixels: larger than asked for where the budget does not hold it.
+    pub lod: f64,
+}
+
 /// Work of one frame.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Stats {
@@ -92,6 +112,9 @@ pub struct Stats {
     pub runs_visited: u64,
     pub spans_drawn: u64,
     pub bytes_scene_gpu: u64,
+    /// Of a world that is not all in memory; else nothing is missing.
+    #[serde(flatten)]
+    pub paging: PagingStats,
     /// Features that the frame paid for.
     pub specialization: Vec<String>,
     /// What was left out, since the frame does not need it: [`crate::Feature`]s by name, with the reason.

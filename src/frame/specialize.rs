@@ -106,7 +106,8 @@ impl Specialization {
             Feature::Horizon => {
                 // The CPU's walk has slices of equidistant columns in its general form alone.
                 let steps = twin == Twin::Gpu || options.equidistant.is_none();
-                let numbered = u64::from(resident.dims[0]) * u64::from(resident.dims[2]) <= u64::from(u32::MAX);
+                let numbered = resident.levels[0].pages.is_some()
+                    || u64::from(resident.dims[0]) * u64::from(resident.dims[2]) <= u64::from(u32::MAX);
                 resident.heights && options.culling == Culling::ALL && above_ground(setup) && steps && numbered
             }
             Feature::Bounded => !setup.repeats[0] && !setup.repeats[1],

@@ -5,13 +5,14 @@
 //! the adapter's limits before memory is asked for.
 
 mod engine;
+mod matter;
 mod pool;
 pub mod present;
 pub mod shaders;
 pub mod types;
 
 use crate::clock::Instant;
-use crate::cpu::renderer::{Outputs, check, derives_normals, frame_stats, inside_solid};
+use crate::cpu::renderer::{CpuRenderer, Outputs, check, derives_normals, frame_stats, inside_solid};
 use crate::cpu::shade;
 use crate::cpu::shadow::Tops;
 use crate::cpu::smooth::{self, Ground};
@@ -23,6 +24,7 @@ use crate::frame::picture::{Frame, StageTimes, Stats};
 use crate::frame::plane_setup::{Setup, plane_setup};
 use crate::frame::projection::Projection;
 use crate::frame::specialize::{Feature, Specialization, Twin};
+use crate::world::pager::Change;
 use crate::world::tables::Resident;
 use crate::world::tree::{Roots, Tree};
 pub use engine::Shader;
@@ -125,7 +127,8 @@ impl Default for GpuOptions {
 
 /// Draws frames of one scene on the GPU.
 pub struct GpuRenderer {
-    scene: Arc<Scene>,
+    /// None of a world whose tiles are not all there.
+    scene: Option<Arc<Scene>>,
     resident: Arc<Resident>,
     options: GpuOptions,
     engine: Engine,
@@ -145,6 +148,8 @@ pub struct GpuRenderer {
     tops: Option<Tops>,
     /// The same of the first that is smooth, and along which axes its world repeats.
     surface: Option<(Tops, [bool; 2])>,
+    /// What translucent matter looks like on the device.
+    look: Option<Arc<crate::world::matter::Look>>,
     /// What was worked out for frames to come, in their order.
     prepared: VecDeque<Prepared>,
     /// Whether frames that are read back have depths.
@@ -311,19 +316,19 @@ impl GpuRenderer {
     /// Opens the adapter and uploads the scene. Without a usable adapter, or where the scene does not fit, the error says
     /// so.
     pub fn new(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<GpuRenderer> {
-        GpuRenderer::with_engine(scene, resident, options, || Engine::new(options.trusted))
+        GpuRenderer::with_engine(Some(scene), resident, options, || Engine::new(options.trusted))
     }
 
     /// One on every adapter.
     pub fn on_all(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> Result<Vec<GpuRenderer>> {
         let open = |adapter: &wgpu::Adapter| {
-            GpuRenderer::with_engine(scene, resident, options, || Engine::on(adapter, options.trusted))
+            GpuRenderer::with_engine(Some(scene), resident, options, || Engine::on(adapter, options.trusted))
         };
         Engine::adapters(&engine::instance())?.iter().map(open).collect()
     }
 
     fn with_engine(
-        scene: &Arc<Scene>,
+        scene: Option<&Arc<Scene>>,
         resident: &Arc<Resident>,
         mut options: GpuOptions,
         engine: impl FnOnce() -> Result<Engine>,
@@ -354,7 +359,7 @@ impl GpuRenderer {
         let shown = present::Shown::default();
         let (live_order, shaded_order) = Default::default();
         Ok(GpuRenderer {
-            scene: Arc::clone(scene),
+            scene: scene.cloned(),
             resident: Arc::clone(resident),
             options,
             engine,
@@ -368,6 +373,7 @@ impl GpuRenderer {
             spare: Vec::new(),
             tops: None,
             surface: None,
+            look: None,
             prepared: VecDeque::new(),
             depth: true,
             shown,
@@ -376,14 +382,36 @@ impl GpuRenderer {
         })
     }
 
+    /// Draws from tables alone, whose tiles are not all there: by planes, in perspective, without shadows and surfaces.
+    pub fn of_tables(resident: &Arc<Resident>, options: GpuOptions) -> Result<GpuRenderer> {
+        GpuRenderer::with_engine(None, resident, options, || Engine::new(options.trusted))
+    }
+
+    pub fn tables(&self) -> &Resident {
+        &self.resident
+    }
+
+    /// The tables on the host, to be changed between frames; `None` while others have them too.
+    pub fn tables_mut(&mut self) -> Option<&mut Resident> {
+        Arc::get_mut(&mut self.resident)
+    }
+
+    /// Brings what has changed in the tables to the device; how many bytes that was.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the device has no room for them.
+    pub fn bring(&mut self, changes: &[Change]) -> Result<u64> {
+        self.tables.sync(&self.engine, &self.resident, changes, self.options.binding_size)
+    }
+
     /// The adapter's name, and its driver.
     pub fn device(&self) -> (&str, &str) {
         (&self.engine.name, &self.engine.driver)
     }
 
-    /// What it draws.
-    pub fn draws(&self) -> (&Arc<Scene>, &Arc<Resident>) {
-        (&self.scene, &self.resident)
+    /// What draws the same on the CPU.
+    pub fn cpu(&self) -> CpuRenderer {
+        CpuRenderer::of(self.scene.clone(), Arc::clone(&self.resident))
     }
 
     /// Gives the device up at once, with all its memory. Later frames are an [`Error::Device`], as after a device is lost.
@@ -493,6 +521,14 @@ impl GpuRenderer {
         done: &dyn Fn(usize, Frame) -> Result<Option<Frame>>,
     ) -> Result<()> {
         assert!(self.pending.is_empty(), "frames on their way must be collected first");
+        if self.resident.matter.is_some() {
+            // Its tables are not made for each picture of a batch.
+            for (i, camera) in cameras.iter().enumerate() {
+                let frame = self.render(camera, options, outputs)?;
+                self.reuse(done(i, frame)?);
+            }
+            return Ok(());
+        }
         let mut from = 0;
         while from < cameras.len() {
             let mut pixels = 0;
@@ -671,7 +707,7 @@ impl GpuRenderer {
 
     /// The frame of an eye inside a voxel.
     fn inside(&self, camera: &Camera, options: &Options, outputs: Outputs) -> Option<Box<Frame>> {
-        let mut frame = inside_solid(&self.scene, &self.resident, camera, options, outputs)?;
+        let mut frame = inside_solid(self.scene.as_deref(), &self.resident, camera, options, outputs)?;
         frame.stats.device = self.engine.name.clone();
         frame.stats.cpu_ms = None;
         frame.stats.gpu_ms = Some(StageTimes::default());
@@ -682,7 +718,7 @@ impl GpuRenderer {
     /// A frame without its picture.
     fn empty_frame(&self, plan: &Plan, setup: &Setup, camera: &Camera, options: &Options) -> Frame {
         let mut frame = Frame { width: camera.width, height: camera.height, ..empty() };
-        frame.stats = frame_stats(&self.scene, &self.resident, camera, options, &self.engine.name, plan.kernel.name());
+        frame.stats = frame_stats(&self.resident, camera, options, &self.engine.name, plan.kernel.name());
         frame.stats.planes = setup.planes.len() as u32;
         frame.stats.planes_full = setup.planes_full;
         frame.stats.levels_drawn = setup.levels;
@@ -711,7 +747,7 @@ impl GpuRenderer {
         };
         self.check_steps(&setup, options)?;
         let mut plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
-        plan.derived = derives_normals(&self.scene, options);
+        plan.derived = derives_normals(&self.resident, options);
         self.reserve(&plan)?;
         if plan.shadows {
             self.shadows(&mut upload.frame)?;
@@ -723,6 +759,7 @@ impl GpuRenderer {
             self.plant()?;
         }
         self.upload(&upload, camera, options.ssao_samples);
+        let matter = self.matter(camera, options)?;
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let pass = (!plan.stage_times).then(|| self.pass(&mut encoder, "frame", 0).forget_lifetime());
@@ -746,6 +783,9 @@ impl GpuRenderer {
             }
         }
         self.shade(&mut recorder, &plan, order)?;
+        if matter {
+            self.compose(&mut recorder, &plan, order)?;
+        }
         let Recorder { pass, mut encoder } = recorder;
         drop(pass);
         if let Some(queries) = &self.queries {
@@ -1022,6 +1062,50 @@ impl GpuRenderer {
         Ok(())
     }
 
+    /// Sends the scene's translucent matter once, and what it looks like when that has changed. Whether there is any to see.
+    fn matter(&mut self, camera: &Camera, options: &Options) -> Result<bool> {
+        let Some(matter) = self.resident.matter.clone() else { return Ok(false) };
+        let look = matter.look();
+        if look.is_clear() {
+            return Ok(false);
+        }
+        let [nx, _, nz] = matter.levels[0].dims();
+        let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
+        if matter.bytes() > limit {
+            return Err(Error::Limit(format!(
+                "translucent matter of {} MiB: {} allows {} MiB (max_storage_buffer_binding_size); try --device cpu",
+                matter.bytes() >> 20,
+                self.engine.name,
+                limit >> 20
+            )));
+        }
+        // Spans of columns take turns, too.
+        if self.engine.software && u64::from(nx) + u64::from(nz) > MAX_STEPS_SOFTWARE / 8 {
+            return Err(Error::Limit(format!(
+                "translucent matter of {nx} × {nz} columns: too many for {}, try --device cpu",
+                self.engine.name
+            )));
+        }
+        if !self.buffers.contains_key("matter") {
+            self.send("matter", &matter::columns(&matter))?;
+        }
+        if self.look.as_ref().is_none_or(|known| !Arc::ptr_eq(known, &look)) {
+            self.send("matter_look", &matter::look(&matter, &look))?;
+            self.look = Some(look);
+        }
+        self.write("matter_look", bytemuck::cast_slice(&matter::frame(&matter, camera, options)));
+        Ok(true)
+    }
+
+    /// Records the stage that puts matter over the picture.
+    fn compose(&mut self, recorder: &mut Recorder, plan: &Plan, order: ByteOrder) -> Result<()> {
+        let bgra = f64::from(u8::from(order == ByteOrder::Bgra));
+        let pipeline = self.engine.pipeline("matter", &self.variant(&[]), &[("BGRA", bgra)])?;
+        let grid = [groups(plan.width, 8), groups(plan.height, 8)];
+        self.record(recorder, "matter", 2, |pass| self.dispatch(pass, &pipeline, &[], grid));
+        Ok(())
+    }
+
     /// Makes a buffer of the scene's that only some frames need.
     fn send(&mut self, name: &'static str, words: &[u32]) -> Result<()> {
         let size = (4 * words.len() as u64).max(64);
@@ -1139,7 +1223,8 @@ impl GpuRenderer {
     }
 
     fn variant(&self, defines: &[&'static str]) -> Variant {
-        Variant { defines: defines.to_vec(), pages: self.tables.pages }
+        let paged = self.tables.is_paged().then_some("PAGED");
+        Variant { defines: defines.iter().copied().chain(paged).collect(), pages: self.tables.pages }
     }
 
     fn traverse(&mut self, recorder: &mut Recorder, plan: &Plan, options: &Options) -> Result<()> {

@@ -113,7 +113,9 @@ impl GpuRenderer {
         options: GpuOptions,
         device: &Device,
     ) -> Result<GpuRenderer> {
-        GpuRenderer::with_engine(scene, resident, options, || Ok(Engine::with_device(device.clone(), options.trusted)))
+        GpuRenderer::with_engine(Some(scene), resident, options, || {
+            Ok(Engine::with_device(device.clone(), options.trusted))
+        })
     }
 
     /// Draws one frame and leaves the picture on the device: see [`GpuRenderer::picture`].

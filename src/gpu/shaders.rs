@@ -5,9 +5,9 @@
 //! its name that reads one element. Constants have their home in Rust and are written in front of every shader.
 
 use crate::cpu::remap::HOLE;
-use crate::cpu::{normal, refine, shade, shadow, smooth};
+use crate::cpu::{matter, normal, refine, shade, shadow, smooth};
 use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
-use crate::world::tables::{BLOCK_SHIFT, EMPTY, UNPAINTED};
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, TILE_SHIFT, UNPAINTED};
 use std::fmt::Write;
 use wgpu::naga;
 
@@ -38,6 +38,7 @@ const FILES: &[(&str, &str)] = files![
     "gap_fill.wgsl",
     "shade.wgsl",
     "smooth.wgsl",
+    "matter.wgsl",
 ];
 
 /// The first binding of the scene's tables; those below are the shaders' own.
@@ -51,6 +52,13 @@ pub const TABLES: [&str; 3] = ["columns", "runs", "paint"];
 pub struct Pages {
     pub n: u32,
     pub shift: u32,
+}
+
+impl Pages {
+    /// Bytes of a page, of elements of so many.
+    pub fn bytes(self, element: u64) -> u64 {
+        if self.n == 1 { u64::MAX } else { element << self.shift }
+    }
 }
 
 /// What a shader's text depends on.
@@ -73,6 +81,7 @@ fn header() -> String {
     constant("UNPAINTED", format!("{UNPAINTED}u"));
     constant("BLOCK_SHIFT", format!("{BLOCK_SHIFT}u"));
     constant("BLOCK_SIZE", format!("{}i", 1 << BLOCK_SHIFT));
+    constant("TILE_SHIFT", format!("{TILE_SHIFT}u"));
     constant("STEEP", format!("{STEEP:?}f"));
     constant("TINY", "1e-20f".into());
     // In decimal it rounds to more than can be represented, which browsers refuse.
@@ -99,6 +108,7 @@ fn header() -> String {
     constant("SMOOTH_FIRST", format!("{}u", smooth::FIRST));
     constant("SMOOTH_SQUARE_SHIFT", format!("{}u", smooth::SQUARE_SHIFT));
     constant("SMOOTH_STEPS", format!("{}u", smooth::STEPS));
+    constant("MATTER_CLOSED", format!("{:?}f", matter::CLOSED));
     constant("SSAO_STRENGTH", format!("{:?}f", shade::SSAO_STRENGTH));
     constant("SKY_HORIZON", rgb(shade::SKY_HORIZON));
     constant("SKY_ZENITH", rgb(shade::SKY_ZENITH));
@@ -207,7 +217,7 @@ mod tests {
         let many = [Pages { n: 3, shift: 20 }; 3];
         let mut all = Vec::new();
         for pages in [one, many] {
-            for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"]] {
+            for tables in [&[][..], &["HEIGHTS"], &["HEIGHTS", "GROUND"], &["PAGED"], &["HEIGHTS", "GROUND", "PAGED"]] {
                 for memory in [&[][..], &["STORAGE_BITS", "STORAGE_KEYS", "UNIFORM"]] {
                     for remap in [
                         &[][..],
@@ -229,7 +239,7 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 9] = [
+    const STAGES: [&str; 10] = [
         "traverse_invocation",
         "traverse_workgroup",
         "raycast",
@@ -239,6 +249,7 @@ mod tests {
         "gap_fill",
         "shade",
         "smooth",
+        "matter",
     ];
 
     #[test]
@@ -312,7 +323,7 @@ mod tests {
                     paint,
                     exposed,
                     colors,
-                    _pad0
+                    pages
                 }),
             ),
             (

@@ -30,13 +30,15 @@ pub struct Level {
     pub columns: u32,
     pub runs: u32,
     pub blocks: u32,
+    /// Blocks a row; where tiles stand in slots, tiles a side of the window, as a power of two.
     pub blocks_row: u32,
     pub bottom: i32,
     pub top: i32,
     pub paint: u32,
     pub exposed: u32,
     pub colors: u32,
-    pub _pad0: u32,
+    /// Slots of the window's tiles, among the runs.
+    pub pages: u32,
 }
 
 /// See [`crate::frame::plane_setup::Plane`].

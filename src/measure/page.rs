@@ -61,7 +61,7 @@ th{background:#f4f6f9}td.n{text-align:right;font-variant-numeric:tabular-nums}
 tr.strong td{background:#e9f6ec;font-weight:600}tr.quoted td{background:#f6f2e8;color:#654;font-style:italic}
 figure{margin:1em 0}figcaption{color:#566;font-size:.9em}figure svg,figure img{max-width:100%;height:auto}
 .side{display:flex;gap:8px;flex-wrap:wrap}.side figure{flex:1 1 30%;margin:0}
-.side img{width:100%;image-rendering:pixelated}
+.side img{width:100%;max-width:480px;image-rendering:pixelated}
 pre{background:#f4f6f9;padding:.6em;overflow-x:auto}";
 
 impl Page {

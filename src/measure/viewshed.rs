@@ -123,6 +123,7 @@ pub fn heights(file: &PcastFile) -> Result<Option<ResidentLevel>> {
         top,
         paint: Paint::None,
         column_colors,
+        pages: None,
     };
     Ok(Some(level))
 }

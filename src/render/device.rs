@@ -9,9 +9,11 @@ use crate::frame::picture::Frame;
 use crate::frame::projection::{Projection, face_cameras, join_faces};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
+use crate::render::paged::Paged;
 use crate::world::World;
+use crate::world::pager::Patience;
 use crate::world::tables::Resident;
-use planecast_encoder::Scene;
+use planecast_encoder::{Scene, TileSource};
 #[cfg(feature = "gpu")]
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -37,7 +39,7 @@ pub struct Renderer {
     notices: Vec<String>,
     /// What replaces a GPU that fails; `None` where it was asked for by name.
     #[cfg(feature = "gpu")]
-    fall_back: Option<(Arc<Scene>, Arc<Resident>)>,
+    fall_back: Option<Box<CpuRenderer>>,
     #[cfg(feature = "gpu")]
     ahead: Ahead,
     /// Draws what the GPU does not.
@@ -48,6 +50,8 @@ pub struct Renderer {
 enum Backend {
     Planes(CpuRenderer),
     Exact(CpuRenderer),
+    /// Of a world that comes in tiles.
+    Paged(Box<Paged>),
     #[cfg(feature = "gpu")]
     Gpu(Vec<GpuRenderer>),
 }
@@ -63,6 +67,30 @@ impl Renderer {
         let tell = &mut |what: &str| notices.push(what.to_owned());
         let renderer = Renderer::with_kernel(&world.scene, &world.resident, device, None, tell)?;
         Ok(Renderer { notices, ..renderer })
+    }
+
+    /// Draws a world that comes in tiles, of which at most `budget` bytes are kept in memory.
+    ///
+    /// # Errors
+    /// Those of the coarsest tiles and of the device; [`Error::Limit`] where the budget holds no view.
+    pub fn of_tiles(
+        source: Arc<dyn TileSource>,
+        device: Device,
+        budget: u64,
+        patience: Patience,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<Renderer> {
+        let paged = Paged::new(source, device, budget, patience, tell)?;
+        Ok(Renderer {
+            backend: Backend::Paged(Box::new(paged)),
+            notices: Vec::new(),
+            #[cfg(feature = "gpu")]
+            fall_back: None,
+            #[cfg(feature = "gpu")]
+            ahead: Ahead::new(),
+            #[cfg(feature = "gpu")]
+            beside: None,
+        })
     }
 
     /// What was decided without being asked for: which device was taken or given up, and why.
@@ -123,7 +151,7 @@ impl Renderer {
             backend,
             notices: Vec::new(),
             #[cfg(feature = "gpu")]
-            fall_back: (device == Device::Auto).then(|| (Arc::clone(scene), Arc::clone(resident))),
+            fall_back: (device == Device::Auto).then(|| Box::new(CpuRenderer::new(scene, resident))),
             #[cfg(feature = "gpu")]
             ahead: Ahead::new(),
             #[cfg(feature = "gpu")]
@@ -134,8 +162,7 @@ impl Renderer {
     /// Draws on a GPU that is open already, and goes on with the CPU where it fails, as `auto` does.
     #[cfg(feature = "gpu")]
     pub fn on_gpu(gpu: GpuRenderer) -> Renderer {
-        let (scene, resident) = gpu.draws();
-        let fall_back = Some((Arc::clone(scene), Arc::clone(resident)));
+        let fall_back = Some(Box::new(gpu.cpu()));
         Renderer { backend: Backend::Gpu(vec![gpu]), notices: Vec::new(), fall_back, ahead: Ahead::new(), beside: None }
     }
 
@@ -144,6 +171,7 @@ impl Renderer {
     pub fn set_count(&mut self, count: bool) {
         match &mut self.backend {
             Backend::Planes(_) | Backend::Exact(_) => _ = count,
+            Backend::Paged(paged) => paged.set_count(count),
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) => gpus.iter_mut().for_each(|gpu| {
                 gpu.set_count(count);
@@ -155,7 +183,7 @@ impl Renderer {
     /// Whether frames have depths; without them the GPU has half as much to read back. The CPU makes them in any case.
     pub fn set_depth(&mut self, depth: bool) {
         match &mut self.backend {
-            Backend::Planes(_) | Backend::Exact(_) => _ = depth,
+            Backend::Planes(_) | Backend::Exact(_) | Backend::Paged(_) => _ = depth,
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) => gpus.iter_mut().for_each(|gpu| gpu.set_depth(depth)),
         }
@@ -165,6 +193,7 @@ impl Renderer {
     pub fn reuse(&mut self, frame: Option<Frame>) {
         match &mut self.backend {
             Backend::Planes(cpu) | Backend::Exact(cpu) => cpu.reuse(frame),
+            Backend::Paged(paged) => paged.reuse(frame),
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) => gpus[self.ahead.front().map_or(0, |sent| sent.gpu)].reuse(frame),
         }
@@ -203,11 +232,10 @@ impl Renderer {
         tell: &mut dyn FnMut(&str),
     ) -> Result<Frame> {
         let camera = &cameras[0];
-        #[cfg(not(feature = "gpu"))]
-        let _ = tell;
         match &mut self.backend {
             Backend::Planes(cpu) => cpu.render(camera, options, outputs),
             Backend::Exact(cpu) => cpu.exact(camera, options, outputs),
+            Backend::Paged(paged) => paged.draw(camera, &cameras[1..], options, outputs, tell),
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) if options.projection == Projection::Cube => {
                 // One after the other into the device, each as soon as there is room.
@@ -224,17 +252,16 @@ impl Renderer {
                         "drawing {} on the cpu: the gpu draws perspective and cube",
                         options.projection.name()
                     ));
-                    let (scene, resident) = gpus[0].draws();
-                    Box::new(CpuRenderer::new(scene, resident))
+                    Box::new(gpus[0].cpu())
                 });
                 cpu.render(camera, options, outputs)
             }
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) => match draw_ahead(gpus, &mut self.ahead, cameras, options, outputs) {
                 Err(e @ (Error::Device(_) | Error::Limit(_))) => {
-                    let Some((scene, resident)) = &self.fall_back else { return Err(e) };
+                    let Some(cpu) = self.fall_back.take() else { return Err(e) };
                     tell(&format!("going on with the cpu: {e}"));
-                    self.backend = Backend::Planes(CpuRenderer::new(scene, resident));
+                    self.backend = Backend::Planes(*cpu);
                     self.draw_with(camera, options, outputs, tell)
                 }
                 frame => frame,
@@ -271,8 +298,7 @@ impl Renderer {
             Backend::Exact(cpu) => cpu.each(cameras, true, options, outputs, done),
             #[cfg(feature = "gpu")]
             Backend::Gpu(gpus) if gpu_draws(options) => gpus[0].each(cameras, options, outputs, done),
-            #[cfg(feature = "gpu")]
-            Backend::Gpu(_) => {
+            _ => {
                 for (i, camera) in cameras.iter().enumerate() {
                     let frame = self.draw_with(camera, options, outputs, &mut |_| ())?;
                     _ = done(i, frame)?;
@@ -309,6 +335,7 @@ impl Renderer {
         match &self.backend {
             Backend::Planes(_) => "cpu",
             Backend::Exact(_) => "exact",
+            Backend::Paged(paged) => paged.name(),
             #[cfg(feature = "gpu")]
             Backend::Gpu(_) => "gpu",
         }

@@ -7,6 +7,8 @@ pub mod device;
 #[cfg(feature = "gpu")]
 pub mod drawer;
 #[cfg(not(target_arch = "wasm32"))]
+mod paged;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod scan;
 
 #[cfg(not(target_arch = "wasm32"))]

@@ -10,6 +10,9 @@ use crate::frame::camera::Camera;
 /// Points that a scale bar takes at most.
 const BAR: f64 = 160.0;
 
+/// Points from the lower edge to the scale bar.
+const ABOVE_WORDS: f32 = 44.0;
+
 /// Pixels of an error that are shown enlarged, to each side, and how large each is, points.
 const AROUND: i64 = 6;
 const LARGE: f32 = 7.0;
@@ -175,7 +178,8 @@ impl Overlay<'_> {
         let power = 10f64.powf(most.log10().floor());
         let nice = [5.0, 2.0, 1.0].into_iter().map(|n| n * power).find(|n| *n <= most).unwrap_or(power);
         let long = (nice / side * voxel) as f32;
-        let end = self.area.center_bottom() + vec2(long / 2.0, -14.0);
+        // Above the line that tells what is under the mouse.
+        let end = self.area.center_bottom() + vec2(long / 2.0, -ABOVE_WORDS);
         let start = end - vec2(long, 0.0);
         for (wide, color) in [(4.0, Color32::BLACK), (2.0, Color32::WHITE)] {
             let line = Stroke::new(wide, color);
@@ -185,7 +189,7 @@ impl Overlay<'_> {
             }
         }
         let text = length(nice, unit);
-        shadowed(paint, self.area.center_bottom() - vec2(0.0, 20.0), Align2::CENTER_BOTTOM, &text);
+        shadowed(paint, self.area.center_bottom() - vec2(0.0, ABOVE_WORDS + 6.0), Align2::CENTER_BOTTOM, &text);
     }
 
     fn compass(&self, paint: &Painter) {

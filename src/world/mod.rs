@@ -1,6 +1,11 @@
 //! A world that can be drawn: from a scene file, from whatever `encode` reads, or from memory. The one door to a scene; renderers
 //! share it.
 
+pub mod fetch;
+pub mod matter;
+pub mod pager;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod preview;
 pub mod tables;
 pub mod tree;
 
@@ -10,6 +15,7 @@ use std::sync::Arc;
 use planecast_encoder::encode::memory;
 use planecast_encoder::inspect::info::{self, ByteCounts};
 use planecast_encoder::model::about::Kind;
+use planecast_encoder::model::matter::{Classes, Matter};
 use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{About, Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
 
@@ -98,13 +104,22 @@ impl World {
         if is_scene(&bytes) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast")) {
             return World::of_file(&PcastFile::from_bytes(name, bytes)?, name, false, false, Features::ALL);
         }
-        let input = source::read(name, &bytes, &ReadOptions { show: true, ..ReadOptions::default() })?;
-        World::of_input(name, input)
+        let read = ReadOptions { show: true, ..ReadOptions::default() };
+        let (input, matter, about) = source::read_all(name, &bytes, &read)?;
+        World::with_matter(name, input, matter.zip(about.classes))
     }
 
     /// From an input as an importer gives it.
     pub fn of_input(name: &Path, input: Input) -> Result<World> {
-        let scene = planecast_encoder::build(input, &Default::default())?;
+        World::with_matter(name, input, None)
+    }
+
+    /// The same with translucent matter of some classes.
+    pub fn with_matter(name: &Path, input: Input, matter: Option<(Matter, Arc<Classes>)>) -> Result<World> {
+        let mut scene = planecast_encoder::build(input, &Default::default())?;
+        if let Some((matter, classes)) = matter {
+            scene = scene.with_matter(matter, classes);
+        }
         let resident = Arc::new(Resident::try_with(&scene, Features::ALL)?);
         let (content_hash, bytes, about, notes) = Default::default();
         let (path, scene) = (name.to_owned(), Arc::new(scene));

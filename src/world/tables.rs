@@ -11,14 +11,20 @@
 //!                                                              the world is empty or one run from the ground up
 //! block          | lowest first u16, highest last u16 |         bounds of 8 × 8 columns
 //! ```
+//!
+//! Where a level's tiles are not all there, its columns stand tile by tile in slots, and [`Pages`] tell which: the same tables
+//! otherwise (`src/world/pager.rs`).
 
 use crate::frame::specialize::{Feature, Features};
+use crate::world::matter::SceneMatter;
 use crate::{Error, Result};
 use bytemuck::Zeroable;
+use planecast_encoder::format::TILE;
 use planecast_encoder::model::filled::{filled, starts};
-use planecast_encoder::{ColorMode, Columns, Level, Rgb, Run, Scene};
+use planecast_encoder::{ColorMode, Columns, Encoding, Level, Rgb, Run, Scene};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Columns a side of a block whose height bounds are kept.
 pub const BLOCK_SHIFT: u32 = 3;
@@ -39,9 +45,48 @@ pub struct ResidentLevel {
     pub bottom: u32,
     pub top: u32,
     pub paint: Paint,
-    /// Of heights with a colour a voxel: how many colours come before each column's, and in all; else empty. A column's own
-    /// colours are those of its topmost voxels and, below those that are hidden, of voxel 0.
+    /// Of heights with a colour a voxel: how many colours come before each column's, and in all, so that column `i` has those
+    /// from `[s·i]` to `[s·i + 1]`, with [`ResidentLevel::stride`]; else empty. A column's own colours are those of its topmost
+    /// voxels and, below those that are hidden, of voxel 0.
     pub column_colors: Vec<u32>,
+    /// Where its columns stand, unless that is row by row.
+    pub pages: Option<Pages>,
+}
+
+/// Columns a side of a tile, as a power of two.
+pub const TILE_SHIFT: u32 = TILE.ilog2();
+
+/// Where the tiles of a level stand that are there: of a window over the level, which repeats beyond its ends, the slot of each.
+/// Slot 0 is an empty tile.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pages {
+    /// Tiles a side of the window, as a power of two.
+    pub shift: u32,
+    /// Slots of the window's tiles, row by row.
+    pub slots: Vec<u32>,
+}
+
+impl Pages {
+    /// Number of a tile's place in the window.
+    #[inline(always)]
+    pub fn place(&self, x: u32, z: u32) -> usize {
+        let mask = (1 << self.shift) - 1;
+        (((z & mask) << self.shift) | (x & mask)) as usize
+    }
+
+    #[inline(always)]
+    pub fn index(&self, x: u32, z: u32) -> usize {
+        let slot = self.slots[self.place(x >> TILE_SHIFT, z >> TILE_SHIFT)] as usize;
+        (slot << (2 * TILE_SHIFT)) | (((z % TILE) << TILE_SHIFT) | (x % TILE)) as usize
+    }
+
+    #[inline(always)]
+    fn block(&self, x: u32, z: u32) -> usize {
+        const SHIFT: u32 = TILE_SHIFT - BLOCK_SHIFT;
+        let slot = self.slots[self.place(x >> TILE_SHIFT, z >> TILE_SHIFT)] as usize;
+        let [x, z] = [x, z].map(|v| (v % TILE) >> BLOCK_SHIFT);
+        (slot << (2 * SHIFT)) | ((z << SHIFT) | x) as usize
+    }
 }
 
 /// The solid runs of one level's columns.
@@ -71,9 +116,10 @@ pub enum Paint {
         base: Vec<u32>,
         colors: Vec<u32>,
     },
-    /// Column `i` has exposed runs `exposed[base[i] .. base[i+1]]`, ascending, each with the place of its lowest
-    /// voxel's colour.
+    /// Column `i` has exposed runs `exposed[base[s·i] .. base[s·i + 1]]`, ascending, each with the place of its lowest
+    /// voxel's colour. `s` is 1 where columns come one after the other, 2 where each has an end of its own.
     Voxel {
+        stride: usize,
         base: Vec<u32>,
         exposed: Vec<[u32; 2]>,
         colors: Vec<u32>,
@@ -85,6 +131,7 @@ pub enum Paint {
 pub struct Resident {
     /// `[nx, ny, nz]` of level 0.
     pub dims: [u32; 3],
+    pub encoding: Encoding,
     pub color: ColorMode,
     pub levels: Vec<ResidentLevel>,
     /// Whether all levels have heights instead of runs.
@@ -92,6 +139,8 @@ pub struct Resident {
     /// By how much the surface that level 0 stands for is higher than its columns, in 256ths of a voxel, 128 more; empty where that
     /// is not known.
     pub fractions: Vec<u8>,
+    /// Translucent matter, where the scene has any.
+    pub matter: Option<Arc<SceneMatter>>,
 }
 
 /// Packs a colour for the kernels: r in the low byte, alpha 255.
@@ -117,9 +166,10 @@ impl Resident {
     pub fn try_with(scene: &Scene, features: Features) -> Result<Resident> {
         let heights = features.has(Feature::Heights)
             && scene.levels.par_iter().all(|level| is_height_field(level.geometry(scene.encoding)));
-        let levels = scene.levels.iter().map(|level| resident_level(level, scene, heights));
+        let levels = scene.levels.iter().map(|level| ResidentLevel::new(level, scene.encoding, scene.color, heights));
         let levels = levels.collect::<Result<_>>()?;
-        Ok(Resident { dims: scene.dims(), color: scene.color, levels, heights, fractions: Vec::new() })
+        let (encoding, color, matter) = (scene.encoding, scene.color, SceneMatter::of(scene));
+        Ok(Resident { dims: scene.dims(), encoding, color, levels, heights, fractions: Vec::new(), matter })
     }
 
     /// The same with what is known of the surface that a height field stands for.
@@ -136,7 +186,7 @@ impl Resident {
                 Paint::None => 0,
                 Paint::Column { colors } => 4 * colors.len(),
                 Paint::Run { base, colors } => 4 * (base.len() + colors.len()),
-                Paint::Voxel { base, exposed, colors } => 4 * (base.len() + colors.len()) + 8 * exposed.len(),
+                Paint::Voxel { base, exposed, colors, .. } => 4 * (base.len() + colors.len()) + 8 * exposed.len(),
             };
             let table = match &l.table {
                 Table::Runs { columns, runs } => 8 * columns.len() + 4 * runs.len(),
@@ -144,11 +194,82 @@ impl Resident {
             };
             (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
         };
-        self.levels.iter().map(level).sum::<u64>() + self.fractions.len() as u64
+        self.levels.iter().map(level).sum::<u64>()
+            + self.fractions.len() as u64
+            + self.matter.as_ref().map_or(0, |m| m.bytes())
     }
 }
 
 impl ResidentLevel {
+    /// The tables of a level, or of one tile of it; as heights only where [`is_height_field`].
+    ///
+    /// # Errors
+    /// [`Error::Limit`] as [`Resident::try_with`] has it.
+    pub fn new(level: &Level, encoding: Encoding, color: ColorMode, heights: bool) -> Result<ResidentLevel> {
+        let geometry = level.geometry(encoding);
+        let (nx, nz) = (geometry.nx(), geometry.nz());
+        let table = if heights { height_table(geometry)? } else { run_table(geometry)? };
+        let mut column_colors = Vec::new();
+        let paint = match color {
+            ColorMode::None => Paint::None,
+            ColorMode::Run if heights => column_paint(geometry, |ix| level.colors[geometry.range(ix)].first())?,
+            ColorMode::Run => run_paint(geometry, &level.colors)?,
+            ColorMode::Voxel => {
+                let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
+                let first = first_voxels(exposed)?;
+                if heights && one_color_each(&first, &level.colors) {
+                    column_paint(geometry, |ix| level.colors[first[ix] as usize..first[ix + 1] as usize].first())?
+                } else {
+                    let paint = voxel_paint(exposed, &first, &level.colors)?;
+                    if heights {
+                        column_colors = first;
+                    }
+                    paint
+                }
+            }
+        };
+        let blocks = blocks(geometry)?;
+        let found = blocks.par_iter().filter(|&&block| block != EMPTY);
+        let (bottom, top) = found
+            .map(|&block| (block & 0xFFFF, (block >> 16) + 1))
+            .reduce(|| (u32::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+        Ok(ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, column_colors, pages: None })
+    }
+
+    /// Number of a column in the tables; `x` and `z` lie within the level.
+    #[inline(always)]
+    pub fn index(&self, x: u32, z: u32) -> usize {
+        match &self.pages {
+            None => (z * self.nx + x) as usize,
+            Some(pages) => pages.index(x, z),
+        }
+    }
+
+    /// Number of the block that holds a column.
+    #[inline(always)]
+    pub fn block(&self, x: u32, z: u32) -> usize {
+        match &self.pages {
+            None => {
+                (z >> BLOCK_SHIFT) as usize * (self.nx as usize).div_ceil(1 << BLOCK_SHIFT)
+                    + (x >> BLOCK_SHIFT) as usize
+            }
+            Some(pages) => pages.block(x, z),
+        }
+    }
+
+    /// How many columns a block's next row is further.
+    #[inline(always)]
+    pub fn row(&self) -> usize {
+        if self.pages.is_some() { TILE as usize } else { self.nx as usize }
+    }
+
+    /// How many starts a column has in [`ResidentLevel::column_colors`]: with its end, where columns do not come one after the
+    /// other.
+    #[inline(always)]
+    pub fn stride(&self) -> usize {
+        if self.pages.is_some() { 2 } else { 1 }
+    }
+
     /// The topmost run of column number `ix`, [`EMPTY`] where it has none, and where the others stand in the table's runs.
     #[inline(always)]
     pub fn entry(&self, ix: usize) -> [u32; 2] {
@@ -225,7 +346,7 @@ impl Parts {
 }
 
 /// Whether each column is empty or one run from the ground up, whose height fits 16 bits.
-fn is_height_field(geometry: &Columns) -> bool {
+pub fn is_height_field(geometry: &Columns) -> bool {
     let parts = Parts::new(geometry);
     let has_height = |ix| match &geometry.runs()[geometry.range(ix)] {
         [] => true,
@@ -280,37 +401,6 @@ fn run_table(geometry: &Columns) -> Result<Table> {
         }
     })?;
     Ok(Table::Runs { columns, runs })
-}
-
-fn resident_level(level: &Level, scene: &Scene, heights: bool) -> Result<ResidentLevel> {
-    let geometry = level.geometry(scene.encoding);
-    let (nx, nz) = (geometry.nx(), geometry.nz());
-    let table = if heights { height_table(geometry)? } else { run_table(geometry)? };
-    let mut column_colors = Vec::new();
-    let paint = match scene.color {
-        ColorMode::None => Paint::None,
-        ColorMode::Run if heights => column_paint(geometry, |ix| level.colors[geometry.range(ix)].first())?,
-        ColorMode::Run => run_paint(geometry, &level.colors)?,
-        ColorMode::Voxel => {
-            let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
-            let first = first_voxels(exposed)?;
-            if heights && one_color_each(&first, &level.colors) {
-                column_paint(geometry, |ix| level.colors[first[ix] as usize..first[ix + 1] as usize].first())?
-            } else {
-                let paint = voxel_paint(exposed, &first, &level.colors)?;
-                if heights {
-                    column_colors = first;
-                }
-                paint
-            }
-        }
-    };
-    let blocks = blocks(geometry)?;
-    let found = blocks.par_iter().filter(|&&block| block != EMPTY);
-    let (bottom, top) = found
-        .map(|&block| (block & 0xFFFF, (block >> 16) + 1))
-        .reduce(|| (u32::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
-    Ok(ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, column_colors })
 }
 
 /// Height bounds of 8 × 8 columns.
@@ -413,7 +503,7 @@ fn voxel_paint(exposed: &Columns, first: &[u32], colors: &[Rgb]) -> Result<Paint
     packed.par_chunks_mut(PART).zip(colors.par_chunks(PART)).for_each(|(out, colors)| {
         out.iter_mut().zip(colors).for_each(|(out, &c)| *out = pack_rgb(c));
     });
-    Ok(Paint::Voxel { base, exposed: runs, colors: packed })
+    Ok(Paint::Voxel { stride: 1, base, exposed: runs, colors: packed })
 }
 
 impl Paint {
@@ -433,8 +523,8 @@ impl Paint {
             Paint::None => UNPAINTED,
             Paint::Column { colors } => colors[ix],
             Paint::Run { base, colors } => colors[(base[ix] + k) as usize],
-            Paint::Voxel { base, exposed, colors } => {
-                let column = &exposed[base[ix] as usize..base[ix + 1] as usize];
+            Paint::Voxel { stride, base, exposed, colors } => {
+                let column = &exposed[base[stride * ix] as usize..base[stride * ix + 1] as usize];
                 if column.is_empty() {
                     return UNPAINTED;
                 }

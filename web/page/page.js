@@ -25,7 +25,15 @@ let seen = false;
 let fetched = null;
 let fetchedAtFirst = null;
 
-const say = (text) => { element("words").textContent = text; };
+/** Says something; what is no fault goes away after some milliseconds. */
+function say(text, lasts) {
+  element("words").textContent = text;
+  clearTimeout(say.timer);
+  if (text && lasts) say.timer = setTimeout(() => say(""), lasts);
+}
+
+/** How long words stay that tell how something is, and those that answer a click. */
+const FACT = 20_000, ANSWER = 4_000;
 
 /** What went wrong, for a person. A trap is the end of the module: nothing of it can be used afterwards. */
 function wrong(what, error) {
@@ -79,11 +87,25 @@ async function open() {
   }
 }
 
-/** Gives the picture the canvas's own pixels; a quarter of them where the CPU draws. */
-function fit() {
+/** When somebody last did something. */
+let touched = 0;
+
+/** The CPU draws a quarter of the pixels, and all of them once nobody does anything, where that takes no longer than a second or so. */
+function isSharp(now) {
+  const rests = now - Math.max(touched, keepView.since ?? now) > 500;
+  return rests && seen && !scene?.level && (fit.ms ?? Infinity) < 400;
+}
+
+/** Gives the picture the canvas's own pixels, beside the panel where there is room for both. */
+function fit(now = 0) {
+  const panel = element("panel");
+  const beside = panel.open && innerWidth > 1000 ? panel.offsetWidth + 16 : 0;
+  canvas.style.marginLeft = `${beside}px`;
+  canvas.style.width = `${innerWidth - beside}px`;
   const fixed = asked.get("size")?.match(/^(\d+)x(\d+)$/);
-  const scale = (gpu ? devicePixelRatio : 0.5);
-  const size = fixed ? [Number(fixed[1]), Number(fixed[2])] : [innerWidth * scale, innerHeight * scale];
+  fit.sharp = !gpu && !fixed && isSharp(now);
+  const scale = gpu ? devicePixelRatio : fit.sharp ? 1 : 0.5;
+  const size = fixed ? [Number(fixed[1]), Number(fixed[2])] : [(innerWidth - beside) * scale, innerHeight * scale];
   const [width, height] = size.map((n) => Math.max(1, Math.min(8192, Math.round(n))));
   if (canvas.width !== width || canvas.height !== height || !page) {
     [canvas.width, canvas.height] = [width, height];
@@ -136,7 +158,7 @@ async function opening(name, steps) {
   };
   try {
     const words = await steps(reads, show);
-    if (turn === opened) say(words ?? "");
+    if (turn === opened) say(words ?? "", FACT);
     return true;
   } catch (error) {
     if (turn === opened) wrong(name, error);
@@ -274,11 +296,13 @@ function tick(now) {
   const seconds = (now - then) / 1000;
   then = now;
   try {
-    fit();
+    fit(now);
     gamepad(Math.max(0, Math.min(0.25, seconds)));
     if (page.frame(Math.max(0, seconds))) {
       shown.push(now);
       if (!gpu) paint();
+      // Of a quarter of the pixels.
+      if (!gpu && !fit.sharp) fit.ms = JSON.parse(page.figures()).cpu_ms?.total;
     }
   } catch (error) {
     wrong("drawing", error);
@@ -294,7 +318,11 @@ function tick(now) {
     }
   }
   while (now - shown[0] > 1000) shown.shift();
-  if (scene && element("panel").open) figures();
+  if (scene && element("panel").open) {
+    element("scene").textContent = `${scene.name}: ${scene.dims.join(" × ")} voxels`;
+    element("mode").textContent = JSON.parse(page.pose()).mode;
+    if (element("more").open) figures();
+  }
   if (scene && seen && !asked.has("size")) keepView(now);
 }
 
@@ -340,6 +368,11 @@ function pointers() {
   canvas.addEventListener("pointerup", up);
   canvas.addEventListener("pointercancel", up);
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    // A notch is about 100 pixels, 3 lines or a page.
+    if (page && !broken) page.wheel(-event.deltaY / [100, 3, 1][event.deltaMode]);
+  }, { passive: false });
   canvas.addEventListener("pointermove", (event) => {
     if (!page || broken) return;
     if (document.pointerLockElement === canvas) { page.look(event.movementX, event.movementY); return; }
@@ -388,7 +421,7 @@ function goToView(hash) {
   if (!view.has("eye")) return;
   const number = (name) => Number(view.get(name) ?? 0);
   const eye = new Float64Array(view.get("eye").split(",").map(Number));
-  if (!page.place(eye, number("yaw"), number("pitch"), number("roll"), view.get("mode") ?? "")) say("the address has no view that can be gone to");
+  if (!page.place(eye, number("yaw"), number("pitch"), number("roll"), view.get("mode") ?? "")) say("the address has no view that can be gone to", FACT);
 }
 
 /** The picture as a file. */
@@ -417,12 +450,15 @@ function events() {
   addEventListener("keyup", (event) => { if (page && !broken) page.key(keyOf(event.code), false); });
   addEventListener("blur", () => { if (page && !broken) page.release(); });
   addEventListener("hashchange", () => { if (page && !broken && scene) goToView(location.hash); });
+  for (const what of ["pointerdown", "pointermove", "wheel", "keydown"]) {
+    addEventListener(what, () => { touched = performance.now(); }, { capture: true, passive: true });
+  }
   pointers();
   held();
   canvas.addEventListener("dblclick", (event) => {
     const box = canvas.getBoundingClientRect();
     const at = [(event.clientX - box.left) / box.width * canvas.width, (event.clientY - box.top) / box.height * canvas.height];
-    if (page && !broken && scene && !page.fly_to(...at)) say("nothing but sky there");
+    if (page && !broken && scene && !page.fly_to(...at)) say("nothing but sky there", ANSWER);
   });
   addEventListener("dragover", (event) => event.preventDefault());
   addEventListener("drop", async (event) => {
@@ -477,7 +513,7 @@ try {
   const [view, path] = [location.hash, asked.get("scene") ?? "demo.pcast"];
   // A small screen has no room for it at first.
   element("panel").open = innerWidth > 640;
-  if (await loadFrom(path, view) && !gpu) say(words);
+  if (await loadFrom(path, view) && !gpu) say(words, FACT);
 } catch (error) {
   wrong("the scene", error);
 }

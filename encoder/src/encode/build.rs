@@ -71,7 +71,8 @@ pub fn build(input: Input, opts: &BuildOptions) -> Result<Scene> {
     let levels = solid
         .into_iter()
         .map(|solid| {
-            let mut level = Level { solid, exposed: exposed.next(), colors: voxel_colors.next().unwrap_or_default() };
+            let colors = voxel_colors.next().unwrap_or_default();
+            let mut level = Level { solid, exposed: exposed.next(), colors, matter: None };
             if color == ColorMode::Run {
                 let shown = level.exposed.as_ref().expect("coloured levels have exposed runs");
                 level.colors = mips::run_colors(level.geometry(opts.encoding), shown, &level.colors);
@@ -80,7 +81,7 @@ pub fn build(input: Input, opts: &BuildOptions) -> Result<Scene> {
             level
         })
         .collect();
-    Ok(Scene { encoding: opts.encoding, color, mip_rule: opts.mip_rule, levels })
+    Ok(Scene { encoding: opts.encoding, color, mip_rule: opts.mip_rule, levels, classes: None })
 }
 
 /// One colour an exposed voxel of level 0.

@@ -31,7 +31,7 @@ pub fn is_procedural(name: &Path) -> bool {
 }
 
 /// What calls itself a scene is told what is wrong with it as one.
-fn is_scene(name: &Path, head: &[u8]) -> bool {
+pub(crate) fn is_scene(name: &Path, head: &[u8]) -> bool {
     head.starts_with(&format::MAGIC) || name.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcast"))
 }
 

@@ -12,12 +12,12 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use bytemuck::{Pod, Zeroable, bytes_of};
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::format::file::{Modes, Place, decode_tile};
+use crate::format::file::{Modes, Place, decode_matter, decode_tile};
 use crate::format::metadata;
 use crate::format::{self, Grid, TileEntry};
 use crate::store::scratch::{read_at, write_at};
@@ -312,7 +312,12 @@ impl Part {
         let [xs, zs] = grid.columns(tx, tz);
         let dims = [xs.len() as u32, grid.dims[1], zs.len() as u32];
         let place = Place { path: &self.path, level, tx, tz, offset: stored.at, flags, modes, dims };
-        let mut level = decode_tile(place, &bytes)?;
+        let max_code = self.about.classes.as_ref().map_or(0, |classes| classes.max_code());
+        let mut level = decode_tile(place, &bytes, max_code)?;
+        if stored.work_len > 0 && stored.entry.flags & format::MATTER != 0 {
+            let place = Place { flags: stored.entry.flags, ..place };
+            level.matter = Some(Arc::new(decode_matter(&place, self.blob(stored)?.into(), max_code)?));
+        }
         if self.plan.modes.color == ColorMode::None {
             level.exposed = None;
         } else if level.exposed.is_none() {

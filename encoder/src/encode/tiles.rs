@@ -22,9 +22,10 @@ use crate::encode::mips;
 use crate::encode::part::{Finished, Part, Plan, Stored, WORK};
 use crate::format::file::Modes;
 use crate::format::write::heights_blob;
-use crate::format::write::{SceneWriter, compressed, tile_blob, too_long, write_atomic};
+use crate::format::write::{SceneWriter, compressed, tile_blob, too_long, with_matter, write_atomic};
 use crate::format::{self, Grid, TILE, TileEntry};
 use crate::model::exposure;
+use crate::model::matter::Matter;
 use crate::model::pieces::Pieces;
 use crate::store::scratch;
 use crate::{
@@ -209,7 +210,9 @@ pub fn merge(
     let log_path = log_path(output);
     let (file, _) = lock_log(&log_path, output)?;
     scene.log = scene.parts.len();
-    scene.parts.push(Part::create(&log_path, file, scene.plan, About::default())?);
+    // Its own tiles are read by them.
+    let classes = scene.parts.first().and_then(|part| part.about().classes.clone());
+    scene.parts.push(Part::create(&log_path, file, scene.plan, About { classes, ..About::default() })?);
     let memory = memory.unwrap_or_else(default_memory);
     let done = scene.count(watch).levels(memory, watch).and_then(|()| scene.assemble(output, compress));
     std::fs::remove_file(&log_path).map_err(|e| Error::io(&log_path, "remove", e))?;
@@ -378,6 +381,7 @@ impl Tiles {
         let whole = from == 0 && to == grid.n_tiles();
         let modes = Modes { encoding: Encoding::Solid, color: ColorMode::None };
         self.by_heights = world.heights().is_some()
+            && world.about().classes.is_none()
             && self.plan.modes == modes
             && self.plan.features.has(Feature::Heights)
             && self.plan.dims[1] <= 0xFFFF;
@@ -449,6 +453,10 @@ impl Tiles {
             return Ok(HEIGHTS_COST);
         }
         let Input { columns, colors, .. } = world.piece(xs.clone(), zs.clone())?;
+        let matter = world.matter(xs.clone(), zs.clone())?.map(|matter| match columns.runs().is_empty() {
+            true => matter,
+            false => matter.without(&columns),
+        });
         let modes = self.plan.modes;
         let exposed = exposure::exposed(&columns);
         // Those of the surrounding columns are made, too, and not used.
@@ -471,12 +479,15 @@ impl Tiles {
             }
             let tile = Level {
                 solid: columns.crop(tile_xs.clone(), tile_zs.clone()),
-                exposed: Some(exposed.crop(tile_xs, tile_zs)),
+                exposed: Some(exposed.crop(tile_xs.clone(), tile_zs.clone())),
                 colors: own,
+                matter: matter.as_ref().map(|m| Arc::new(m.crop(tile_xs, tile_zs))),
             };
             tiles.finished(0, tx, tz, tile)
         })?;
-        let bytes = columns.bytes() + exposed.bytes() + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
+        let of_matter = matter.as_ref().map_or(0, Matter::bytes);
+        let bytes =
+            columns.bytes() + exposed.bytes() + of_matter + 8 * starts.len() as u64 + 3 * colors.len() as u64 + made;
         // Half as much again for what comes and goes on the way.
         Ok(bytes as f64 * 1.5 / (xs.len() as f64 * zs.len() as f64))
     }
@@ -544,6 +555,10 @@ impl Tiles {
             made
         } else {
             tile_blob(&tile, modes, features).map_err(too_long)?
+        };
+        let (entry, blob) = match tile.matter.as_ref().filter(|m| !m.is_empty()) {
+            Some(matter) => with_matter((entry, blob), matter).map_err(too_long)?,
+            None => (entry, blob),
         };
         if color == ColorMode::None {
             tile.exposed = None;
@@ -628,9 +643,10 @@ impl Tiles {
         let (inner_xs, inner_zs) = (inner(&xs, &around_xs), inner(&zs, &around_zs));
         let solid = solid.crop(inner_xs.clone(), inner_zs.clone());
         let exposed = exposed.crop(inner_xs, inner_zs);
+        let finer = |r: &Range<u32>, axis: usize| 2 * r.start..below.dims[axis].min(2 * r.end);
         let mut colors = Vec::new();
         if self.plan.modes.color != ColorMode::None {
-            let (xs, zs) = (2 * xs.start..below.dims[0].min(2 * xs.end), 2 * zs.start..below.dims[2].min(2 * zs.end));
+            let (xs, zs) = (finer(&xs, 0), finer(&zs, 2));
             let fine =
                 gather(xs.clone(), zs.clone(), |l| l.exposed.as_ref().expect("coloured tiles have exposed runs"));
             let starts: HashMap<(u32, u32), Vec<u64>> = tiles
@@ -651,7 +667,16 @@ impl Tiles {
             }
             colors = mips::next_colors(&exposed, &fine, &fine_colors);
         }
-        self.finished(level, tx, tz, Level { solid, exposed: Some(exposed), colors })
+        // Parts of one scene have the same classes.
+        let matter = self.parts[0].about().classes.as_ref().map(|classes| {
+            let fine = Matter::gather(below.dims[1], finer(&xs, 0), finer(&zs, 2), |x, z| {
+                let level = tiles[&(x / TILE, z / TILE)].level();
+                let ix = (z % TILE) as usize * level.solid.nx() as usize + (x % TILE) as usize;
+                (level.matter.as_deref(), ix, level.solid.nx() - x % TILE)
+            });
+            Arc::new(fine.next(classes))
+        });
+        self.finished(level, tx, tz, Level { solid, exposed: Some(exposed), colors, matter })
     }
 
     /// A finished tile, from memory or from where it is stored.
@@ -719,7 +744,8 @@ fn stopped(watch: &Watch) -> Result<()> {
 }
 
 fn level_bytes(level: &Level) -> u64 {
-    level.solid.bytes() + level.exposed.as_ref().map_or(0, Columns::bytes) + 3 * level.colors.len() as u64
+    let matter = level.matter.as_ref().map_or(0, |m| m.bytes());
+    level.solid.bytes() + level.exposed.as_ref().map_or(0, Columns::bytes) + 3 * level.colors.len() as u64 + matter
 }
 
 /// Tiles kept in memory for the levels above, those used last.
@@ -788,6 +814,7 @@ mod tests {
 
     use super::*;
     use crate::format::write::{write_scene, write_scene_with};
+    use crate::model::matter::{Class, Classes, Mode};
     use crate::model::pieces::{InMemory, RowColors, Rows};
     use crate::{ColumnsBuilder, Feature, MipRule, PcastFile, Run, build, testing};
 
@@ -842,6 +869,86 @@ mod tests {
         assert_eq!(names(dir.path()), ["a.pcast", "b.pcast"], "nothing else is left behind");
     }
 
+    /// [`world`] with matter of three classes beside what is solid.
+    struct Hazy {
+        world: InMemory,
+        classes: Arc<Classes>,
+    }
+
+    fn hazy(window: Option<[f64; 2]>) -> Hazy {
+        let class = |k: u8| Class { color: [k; 3], opacity: 0.1 * f64::from(k), mode: Mode::Volumetric };
+        let classes = Arc::new(Classes { window, classes: (1..4).map(class).collect() });
+        let about = About { classes: Some(Arc::clone(&classes)), ..About::default() };
+        let matter = Matter::try_from_rows([520, 24, 515], |z, out| {
+            for x in 0..520 {
+                (0..24).for_each(|y| {
+                    out.push(1, 8 * ((x / 2 + y * z / 90) % 9 / 2 % 4) as u16 * u16::from(x < 256 || z > 255))
+                });
+                out.end_column();
+            }
+            Ok(())
+        });
+        Hazy { world: InMemory::new(testing::input(world(), true)).about(about).matter(matter.unwrap()), classes }
+    }
+
+    #[test]
+    fn encode_of_matter_gives_the_bytes_of_a_scene_in_memory_whatever_budget_and_parts() {
+        let dir = tempfile::tempdir().unwrap();
+        let (expected, found) = (dir.path().join("a.pcast"), dir.path().join("b.pcast"));
+        for (opts, window) in modes().zip([Some([0.0, 3.0]), None].into_iter().cycle()) {
+            let hazy = hazy(window);
+            let scene = build(testing::input(world(), true), &opts).unwrap();
+            let matter = Pieces::matter(&hazy.world, 0..520, 0..515).unwrap().unwrap();
+            let scene = scene.with_matter(matter, Arc::clone(&hazy.classes));
+            write_scene(&scene, &expected).unwrap();
+            let bytes = std::fs::read(&expected).unwrap();
+            assert_eq!(bytes[8], 4);
+            for memory in [1 << 30, 1] {
+                encode(&hazy.world, &options(opts, memory), &found, &Watch::default()).unwrap();
+                assert!(std::fs::read(&found).unwrap() == bytes, "{opts:?} {memory} bytes");
+            }
+            let parts = [0..4, 4..9].map(|tiles| {
+                let part = dir.path().join(format!("{}.part", tiles.start));
+                encode_part(&hazy.world, &options(opts, 1), tiles, &part, &Watch::default()).unwrap();
+                part
+            });
+            merge(&parts, Some(1), None, &found, &Watch::default()).unwrap();
+            assert!(std::fs::read(&found).unwrap() == bytes, "{opts:?} parts");
+            let packed = EncodeOptions { compress: Some(1), ..options(opts, 1 << 30) };
+            encode(&hazy.world, &packed, &found, &Watch::default()).unwrap();
+            for path in [&expected, &found] {
+                let file = PcastFile::open(path).unwrap();
+                assert!(file.read_scene().unwrap() == scene, "{opts:?} {}", path.display());
+            }
+        }
+    }
+
+    #[test]
+    fn matter_with_a_byte_changed_is_refused_and_without_its_classes_the_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.pcast");
+        encode(&hazy(None).world, &EncodeOptions::default(), &path, &Watch::default()).unwrap();
+        let good = std::fs::read(&path).unwrap();
+        let file = PcastFile::from_bytes("a.pcast", good.clone()).unwrap();
+        let entry = file.entries()[0];
+        for at in [0, 4, 15, entry.len / 2, entry.len - 1] {
+            let mut bytes = good.clone();
+            bytes[(entry.offset + u64::from(at)) as usize] ^= 0x21;
+            let broken = PcastFile::from_bytes("a.pcast", bytes.clone()).unwrap();
+            assert!(broken.read_scene().is_err(), "byte {at}");
+            // With its checksum made right: an error, or something else to see, never a panic.
+            testing::reseal(&mut bytes);
+            if let Ok(scene) = PcastFile::from_bytes("a.pcast", bytes).and_then(|file| file.read_scene()) {
+                assert!(scene != file.read_scene().unwrap(), "byte {at}");
+            }
+        }
+        let tag = good.windows(4).position(|w| w == b"CLAS").unwrap();
+        let mut bytes = good;
+        bytes[tag] = b'X';
+        let error = PcastFile::from_bytes("a.pcast", bytes).err().unwrap().to_string();
+        assert!(error.contains("no classes (CLAS)"), "{error}");
+    }
+
     /// Columns solid from 0 up: a plain, a plain of nothing, steps of one and of two bytes.
     fn hills(x: u32, z: u32) -> u16 {
         match (x / 256, z / 256) {
@@ -879,6 +986,7 @@ mod tests {
             notes: Vec::new(),
             about: About::default(),
             input_bytes: 0,
+            water: None,
         };
         for (encoding, mip_rule, features) in [
             (Encoding::Solid, MipRule::Any, Features::ALL),

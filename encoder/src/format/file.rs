@@ -9,8 +9,8 @@ use std::fs::File;
 use std::io::Read;
 use std::ops::{Deref, Range};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 use bytemuck::pod_read_unaligned;
 use rayon::prelude::*;
@@ -19,10 +19,13 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::format::column_rle::{self, Form};
 use crate::format::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, Heights, Lists, Painted, Table, edges, n_edges};
 use crate::format::metadata;
-use crate::format::{self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, SPECIALIZED, Section, TileEntry};
+use crate::format::{
+    self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, MATTER, SPECIALIZED, Section, TileEntry,
+};
 use crate::model::about::Kind;
 use crate::model::exposure;
 use crate::model::filled::{filled, starts};
+use crate::model::matter::Matter;
 use crate::model::tiles::{TileKey, TileSource};
 use crate::store::guard::Map;
 use crate::{About, ColorMode, Columns, ColumnsBuilder, Encoding, Error, Level, MipRule, Result, Rgb, Run, Scene};
@@ -112,71 +115,10 @@ impl PcastFile {
 
     fn new(path: &Path, bytes: Bytes) -> Result<PcastFile> {
         let wrong = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
-        let Some(header) = bytes.get(..size_of::<Header>()) else {
-            return Err(too_short(path, bytes.len() as u64));
-        };
-        let header: Header = pod_read_unaligned(header);
-        if header.magic != format::MAGIC {
-            return Err(Error::format(
-                path,
-                "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
-            ));
-        }
-        let flags = match header.version[0] {
-            1 => EMPTY,
-            2 => EMPTY | COMPRESSED,
-            3 => EMPTY | COMPRESSED | SPECIALIZED,
-            other => return wrong(8, format!("version {other} of .pcast, this program reads versions 1 to 3")),
-        };
-        if header.checksum != header.checksum() {
-            return wrong(56, "the header does not match its checksum; the file is damaged".into());
-        }
-        if header.file_len != bytes.len() as u64 {
-            let (found, expected) = (bytes.len(), header.file_len);
-            return wrong(
-                40,
-                format!("the file has {found} bytes, its header says {expected}; it was cut short or added to"),
-            );
-        }
-        let dims = header.dims;
-        let n_columns = u64::from(dims[0]) * u64::from(dims[2]);
-        if dims.contains(&0) || dims[1] > 65_536 || n_columns > format::MAX_COLUMNS {
-            return wrong(
-                12,
-                format!(
-                    "{} × {} × {} voxels; 1 to 65,536 high and at most 2³¹ columns were expected",
-                    dims[0], dims[1], dims[2]
-                ),
-            );
-        }
-        let encodings = [Encoding::Solid, Encoding::Surface];
-        let Some(&encoding) = encodings.get(header.encoding as usize) else {
-            return wrong(24, format!("encoding {}, 0 or 1 was expected", header.encoding));
-        };
-        let Some(&color) = [ColorMode::None, ColorMode::Run, ColorMode::Voxel].get(header.color as usize) else {
-            return wrong(25, format!("colour mode {}, 0 to 2 was expected", header.color));
-        };
-        let Some(&mip_rule) = [MipRule::Any, MipRule::Majority].get(header.mip_rule as usize) else {
-            return wrong(26, format!("mip rule {}, 0 or 1 was expected", header.mip_rule));
-        };
-        let grids = format::grids(dims);
-        if header.n_levels as usize != grids.len() {
-            return wrong(27, format!("{} levels, {} were expected", header.n_levels, grids.len()));
-        }
-        let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
-        if u64::from(header.n_tiles) != n_tiles {
-            return wrong(28, format!("{} tiles, {n_tiles} were expected", header.n_tiles));
-        }
-        let directory = usize::try_from(header.directory).ok().and_then(|start| {
-            let end = start.checked_add(header.n_tiles as usize * size_of::<TileEntry>())?;
-            bytes.get(start..end).filter(|_| start >= size_of::<Header>())
-        });
-        let Some(directory) = directory else {
-            return wrong(
-                32,
-                format!("a directory of {n_tiles} tiles at byte {} does not fit the file", header.directory),
-            );
-        };
+        let Outline { encoding, color, mip_rule, grids, flags } = Outline::check(path, &bytes, bytes.len() as u64)?;
+        let header: Header = pod_read_unaligned(&bytes[..size_of::<Header>()]);
+        let n_tiles = header.n_tiles;
+        let directory = &bytes[header.directory as usize..][..n_tiles as usize * size_of::<TileEntry>()];
         let mut about = About::default();
         if header.version[1] >= format::MINOR_METADATA {
             let metadata = &bytes[size_of::<Header>()..header.directory as usize];
@@ -193,6 +135,12 @@ impl PcastFile {
         let directory_end = header.directory + directory.len() as u64;
         if let Err((tile, what)) = check_entries(&entries, flags, directory_end, header.file_len) {
             return wrong(directory_at + tile * size_of::<TileEntry>(), format!("tile {tile}: {what}"));
+        }
+        if about.classes.is_none() && entries.iter().any(|e| e.flags & MATTER != 0) {
+            return wrong(
+                size_of::<Header>(),
+                "metadata: no classes (CLAS) of the translucent matter that tiles hold".into(),
+            );
         }
         let checked = entries.iter().map(|_| AtomicBool::new(false)).collect();
         Ok(PcastFile {
@@ -302,7 +250,7 @@ impl PcastFile {
     /// its bytes from one look to the next.
     pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
         let Some(bytes) = self.stored(level, tx, tz)? else { return Ok(None) };
-        self.unpack(level, tx, tz, Cow::Borrowed(bytes)).map(Some)
+        self.unpack(level, tx, tz, Cow::Borrowed(bytes))
     }
 
     /// The same to be read as a whole: bytes that were found right stay so.
@@ -313,38 +261,73 @@ impl PcastFile {
         let Some(bytes) = self.in_file(self.tile_ix(level, tx, tz)) else { return Ok(None) };
         let bytes = bytes.to_vec();
         self.check_sum(level, tx, tz, &bytes)?;
-        self.unpack(level, tx, tz, Cow::Owned(bytes)).map(Some)
+        self.unpack(level, tx, tz, Cow::Owned(bytes))
     }
 
-    fn unpack<'a>(&'a self, level: usize, tx: u32, tz: u32, bytes: Cow<'a, [u8]>) -> Result<Blob<'a>> {
-        let place = self.place(level, tx, tz);
+    /// None of a tile that has matter alone.
+    fn unpack<'a>(&'a self, level: usize, tx: u32, tz: u32, bytes: Cow<'a, [u8]>) -> Result<Option<Blob<'a>>> {
+        let mut place = self.place(level, tx, tz);
         let stored = bytes.len();
-        if place.flags & COMPRESSED == 0 {
-            return Blob::new(place, bytes, stored);
+        let bytes = unframed(&place, bytes)?;
+        if place.flags & MATTER == 0 {
+            return Blob::new(place, bytes, stored).map(Some);
         }
-        // Memory grows with what the frame really holds, not with what it claims.
-        let mut unpacked = Vec::new();
-        unzstd(&bytes)
-            .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
-            .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
-        Blob::new(place, Cow::Owned(unpacked), stored)
+        let solid = parts(&place, &bytes)?.0;
+        place.offset += solid.start as u64;
+        let bytes = match bytes {
+            Cow::Borrowed(bytes) => Cow::Borrowed(&bytes[solid]),
+            Cow::Owned(bytes) => Cow::Owned(bytes[solid].to_vec()),
+        };
+        if bytes.is_empty() { Ok(None) } else { Blob::new(place, bytes, stored).map(Some) }
+    }
+
+    /// The matter of a tile, every byte of it checked; None where it has none.
+    pub(crate) fn matter(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Matter>> {
+        let ix = self.tile_ix(level, tx, tz);
+        let (Some(bytes), MATTER) = (self.in_file(ix), self.entries[ix].flags & MATTER) else { return Ok(None) };
+        // A copy: what was found right stays so.
+        let bytes = bytes.to_vec();
+        self.check_sum(level, tx, tz, &bytes)?;
+        let place = self.place(level, tx, tz);
+        let classes = self.about.classes.as_ref().expect("checked when the file was opened");
+        decode_matter(&place, Cow::Owned(bytes), classes.max_code()).map(Some)
+    }
+
+    /// Whether any tile holds translucent matter.
+    pub fn has_matter(&self) -> bool {
+        self.entries.iter().any(|e| e.flags & MATTER != 0)
     }
 
     /// One tile, after every byte of it was checked. Its columns are those of [`Grid::columns`], counted from 0.
     ///
     /// Panics if the file has no such tile.
     pub fn tile(&self, level: usize, tx: u32, tz: u32) -> Result<Level> {
-        let Some(blob) = self.own_blob(level, tx, tz)? else { return Ok(self.place(level, tx, tz).empty()) };
+        let matter = self.matter(level, tx, tz)?.map(Arc::new);
+        let entry = &self.entries[self.tile_ix(level, tx, tz)];
+        let Some(blob) = self.own_blob(level, tx, tz)? else {
+            self.check_no_figures(level, tx, tz)?;
+            return Ok(Level { matter, ..self.place(level, tx, tz).empty() });
+        };
         let tile = blob.level()?;
-        blob.check_figures(&tile, &self.entries[self.tile_ix(level, tx, tz)])?;
-        Ok(tile)
+        blob.check_figures(&tile, entry)?;
+        Ok(Level { matter, ..tile })
     }
 
     /// Checks every byte of one tile, as [`PcastFile::tile`] does.
     pub(crate) fn check_tile(&self, level: usize, tx: u32, tz: u32) -> Result<()> {
-        let Some(blob) = self.own_blob(level, tx, tz)? else { return Ok(()) };
+        self.matter(level, tx, tz)?;
+        let Some(blob) = self.own_blob(level, tx, tz)? else { return self.check_no_figures(level, tx, tz) };
         let entry = &self.entries[self.tile_ix(level, tx, tz)];
         if blob.is_sound(entry) { Ok(()) } else { blob.check_figures(&blob.level()?, entry) }
+    }
+
+    /// A tile without a solid voxel says so.
+    fn check_no_figures(&self, level: usize, tx: u32, tz: u32) -> Result<()> {
+        let TileEntry { n_solid, n_exposed, n_runs, y_min, y_max, .. } = self.entries[self.tile_ix(level, tx, tz)];
+        if (n_solid, n_exposed, n_runs, y_min, y_max) == (0, 0, 0, 0, 0) {
+            return Ok(());
+        }
+        Err(self.place(level, tx, tz).error(0, "the directory's figures are of solid voxels, and the tile has none"))
     }
 
     /// Bytes of memory that the whole scene takes at least, by its directory alone.
@@ -372,7 +355,12 @@ impl PcastFile {
     /// The scene that a level and all coarser ones are.
     pub(crate) fn read_scene_from(&self, level: usize) -> Result<Scene> {
         let levels = (level..self.grids.len()).map(|k| self.level(k, None)).collect::<Result<_>>()?;
-        Ok(Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels })
+        Ok(self.scene(levels))
+    }
+
+    fn scene(&self, levels: Vec<Level>) -> Scene {
+        let classes = self.about.classes.clone().filter(|_| self.has_matter());
+        Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels, classes }
     }
 
     /// What of the scene can be read, and what is wrong with the rest: broken tiles are empty. Beside them voxels
@@ -380,8 +368,7 @@ impl PcastFile {
     pub fn read_scene_without_broken(&self) -> Result<(Scene, Vec<Error>)> {
         let faults = Mutex::new(Vec::new());
         let levels = (0..self.grids.len()).map(|k| self.level(k, Some(&faults))).collect::<Result<_>>()?;
-        let scene = Scene { encoding: self.encoding, color: self.color, mip_rule: self.mip_rule, levels };
-        Ok((scene, faults.into_inner().expect("no thread panics with it")))
+        Ok((self.scene(levels), faults.into_inner().expect("no thread panics with it")))
     }
 
     /// One level, whole; where there is a place for faults, with empty tiles instead of broken ones.
@@ -444,7 +431,15 @@ impl PcastFile {
                 }
             }
         })?;
-        Ok(Level { solid, exposed, colors })
+        let matter = self.has_matter().then(|| {
+            Matter::gather(grid.dims[1], 0..grid.dims[0], 0..grid.dims[2], |x, z| {
+                let tile = tiles[number(x / format::TILE, z / format::TILE)].as_ref();
+                let (xs, in_row) = (grid.columns(x / format::TILE, 0)[0].len() as u32, x % format::TILE);
+                let matter = tile.and_then(|tile| tile.matter.as_deref());
+                (matter, (z % format::TILE * xs + in_row) as usize, xs - in_row)
+            })
+        });
+        Ok(Level { solid, exposed, colors, matter: matter.map(Arc::new) })
     }
 
     /// Puts the columns of a level's tiles together.
@@ -585,7 +580,12 @@ fn color_rows(columns: &Columns, colors: impl Fn(Run) -> usize) -> Vec<usize> {
 }
 
 /// Bounds and overlaps; an error names the tile by its number in the directory.
-fn check_entries(entries: &[TileEntry], flags: u32, directory_end: u64, file_len: u64) -> Result<(), (usize, String)> {
+pub(crate) fn check_entries(
+    entries: &[TileEntry],
+    flags: u32,
+    directory_end: u64,
+    file_len: u64,
+) -> Result<(), (usize, String)> {
     let mut blobs = Vec::new();
     for (i, e) in entries.iter().enumerate() {
         if e.is_empty() {
@@ -659,6 +659,91 @@ impl TileSource for PcastFile {
     fn bytes(&self, key: TileKey) -> u64 {
         self.entries[self.tile_ix(key.level as usize, key.x, key.z)].len.into()
     }
+
+    fn has_matter(&self) -> bool {
+        PcastFile::has_matter(self)
+    }
+}
+
+/// What a header says, after it was found to be right.
+pub(crate) struct Outline {
+    pub encoding: Encoding,
+    pub color: ColorMode,
+    pub mip_rule: MipRule,
+    pub grids: Vec<Grid>,
+    /// That entries of the directory may have.
+    pub flags: u32,
+}
+
+impl Outline {
+    /// From a file's first bytes; `len` is how many it has.
+    pub(crate) fn check(path: &Path, head: &[u8], len: u64) -> Result<Outline> {
+        let wrong = |at: usize, what: String| Err(Error::format(path, format!("byte {at}: {what}")));
+        let Some(header) = head.get(..size_of::<Header>()) else {
+            return Err(too_short(path, head.len() as u64));
+        };
+        let header: Header = pod_read_unaligned(header);
+        if header.magic != format::MAGIC {
+            return Err(Error::format(
+                path,
+                "not a .pcast scene (byte 0: other magic number); make one with `planecast encode`",
+            ));
+        }
+        let flags = match header.version[0] {
+            1 => EMPTY,
+            2 => EMPTY | COMPRESSED,
+            3 => EMPTY | COMPRESSED | SPECIALIZED,
+            4 => EMPTY | COMPRESSED | SPECIALIZED | MATTER,
+            other => return wrong(8, format!("version {other} of .pcast, this program reads versions 1 to 4")),
+        };
+        if header.checksum != header.checksum() {
+            return wrong(56, "the header does not match its checksum; the file is damaged".into());
+        }
+        if header.file_len != len {
+            let (found, expected) = (len, header.file_len);
+            return wrong(
+                40,
+                format!("the file has {found} bytes, its header says {expected}; it was cut short or added to"),
+            );
+        }
+        let dims = header.dims;
+        let n_columns = u64::from(dims[0]) * u64::from(dims[2]);
+        if dims.contains(&0) || dims[1] > 65_536 || n_columns > format::MAX_COLUMNS {
+            return wrong(
+                12,
+                format!(
+                    "{} × {} × {} voxels; 1 to 65,536 high and at most 2³¹ columns were expected",
+                    dims[0], dims[1], dims[2]
+                ),
+            );
+        }
+        let encodings = [Encoding::Solid, Encoding::Surface];
+        let Some(&encoding) = encodings.get(header.encoding as usize) else {
+            return wrong(24, format!("encoding {}, 0 or 1 was expected", header.encoding));
+        };
+        let Some(&color) = [ColorMode::None, ColorMode::Run, ColorMode::Voxel].get(header.color as usize) else {
+            return wrong(25, format!("colour mode {}, 0 to 2 was expected", header.color));
+        };
+        let Some(&mip_rule) = [MipRule::Any, MipRule::Majority].get(header.mip_rule as usize) else {
+            return wrong(26, format!("mip rule {}, 0 or 1 was expected", header.mip_rule));
+        };
+        let grids = format::grids(dims);
+        if header.n_levels as usize != grids.len() {
+            return wrong(27, format!("{} levels, {} were expected", header.n_levels, grids.len()));
+        }
+        let n_tiles: u64 = grids.iter().map(Grid::n_tiles).sum();
+        if u64::from(header.n_tiles) != n_tiles {
+            return wrong(28, format!("{} tiles, {n_tiles} were expected", header.n_tiles));
+        }
+        let directory = header.directory.checked_add(n_tiles * size_of::<TileEntry>() as u64);
+        if header.directory < size_of::<Header>() as u64 || directory.is_none_or(|end| end > len) {
+            return wrong(
+                32,
+                format!("a directory of {n_tiles} tiles at byte {} does not fit the file", header.directory),
+            );
+        }
+        Ok(Outline { encoding, color, mip_rule, grids, flags })
+    }
 }
 
 /// What the tiles of a scene hold.
@@ -699,8 +784,73 @@ pub(crate) struct Place<'a> {
     pub dims: [u32; 3],
 }
 
-/// A tile from its blob, every byte of it checked; from no bytes an empty one.
-pub(crate) fn decode_tile(place: Place, bytes: &[u8]) -> Result<Level> {
+/// A blob as it was before it was compressed.
+fn unframed<'a>(place: &Place, bytes: Cow<'a, [u8]>) -> Result<Cow<'a, [u8]>> {
+    if place.flags & COMPRESSED == 0 {
+        return Ok(bytes);
+    }
+    // Memory grows with what the frame really holds, not with what it claims.
+    let mut unpacked = Vec::new();
+    unzstd(&bytes)
+        .and_then(|frame| frame.take(u64::from(u32::MAX)).read_to_end(&mut unpacked))
+        .map_err(|e| place.error(0, format!("zstd, after {} bytes: {e}", unpacked.len())))?;
+    Ok(Cow::Owned(unpacked))
+}
+
+/// Where the solid part and the matter of a blob with both are.
+fn parts(place: &Place, bytes: &[u8]) -> Result<(Range<usize>, Range<usize>)> {
+    let header = format::MATTER_HEADER;
+    if bytes.len() < header || bytes[4..header].iter().any(|&b| b != 0) {
+        let what = format!("{} bytes; matter has a header of {header}, whose last 12 are 0", bytes.len());
+        return Err(place.error(0, what));
+    }
+    let end = header as u64 + u64::from(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
+    let start = end.next_multiple_of(ALIGN);
+    if start > bytes.len() as u64 || bytes[end as usize..start as usize].iter().any(|&b| b != 0) {
+        return Err(place.error(0, format!("a solid part up to {end} of {} bytes, with zeros behind it", bytes.len())));
+    }
+    Ok((header..end as usize, start as usize..bytes.len()))
+}
+
+/// The matter of a blob that has any.
+pub(crate) fn decode_matter(place: &Place, bytes: Cow<[u8]>, max_code: u16) -> Result<Matter> {
+    let bytes = unframed(place, bytes)?;
+    let (_, matter) = parts(place, &bytes)?;
+    let at = matter.start;
+    Matter::unpack(&bytes[matter], place.dims, max_code).map_err(|(byte, what)| place.error(at + byte, what))
+}
+
+/// A tile from its bytes as they are stored, every one of them checked; from none an empty one. Matter is left out.
+pub(crate) fn read_tile(mut place: Place, bytes: Option<Vec<u8>>, entry: &TileEntry) -> Result<Level> {
+    let Some(bytes) = bytes else { return Ok(place.empty()) };
+    if xxh3_64(&bytes) != entry.checksum {
+        return Err(place.error(0, "does not match its checksum; the file is damaged"));
+    }
+    let stored = bytes.len();
+    let mut bytes = unframed(&place, Cow::Owned(bytes))?;
+    if place.flags & MATTER != 0 {
+        let solid = parts(&place, &bytes)?.0;
+        place.offset += solid.start as u64;
+        bytes = Cow::Owned(bytes[solid].to_vec());
+        if bytes.is_empty() {
+            return Ok(place.empty());
+        }
+    }
+    let blob = Blob::new(place, bytes, stored)?;
+    let tile = blob.level()?;
+    blob.check_figures(&tile, entry)?;
+    Ok(tile)
+}
+
+/// A tile from its blob, every byte of it checked; from no bytes an empty one. Of matter, `max_code` is the highest code.
+pub(crate) fn decode_tile(mut place: Place, bytes: &[u8], max_code: u16) -> Result<Level> {
+    if place.flags & MATTER != 0 {
+        let matter = decode_matter(&place, Cow::Borrowed(bytes), max_code)?;
+        let bytes = unframed(&place, Cow::Borrowed(bytes))?;
+        let solid = parts(&place, &bytes)?.0;
+        place.flags &= !(MATTER | COMPRESSED);
+        return Ok(Level { matter: Some(Arc::new(matter)), ..decode_tile(place, &bytes[solid], max_code)? });
+    }
     if bytes.is_empty() { Ok(place.empty()) } else { Blob::new(place, Cow::Borrowed(bytes), bytes.len())?.level() }
 }
 
@@ -713,7 +863,7 @@ impl Place<'_> {
     fn empty(&self) -> Level {
         let [nx, ny, nz] = self.dims;
         let none = Columns::empty(nx, ny, nz);
-        Level { exposed: self.modes.shows().then(|| none.clone()), solid: none, colors: Vec::new() }
+        Level { exposed: self.modes.shows().then(|| none.clone()), solid: none, colors: Vec::new(), matter: None }
     }
 }
 
@@ -910,7 +1060,7 @@ impl<'a> Blob<'a> {
                 (geometry, exposed.transpose()?)
             }
         };
-        let mut level = Level { solid, exposed, colors: Vec::new() };
+        let mut level = Level { solid, exposed, colors: Vec::new(), matter: None };
         level.colors = match color {
             ColorMode::None => Vec::new(),
             ColorMode::Run => self.colors(level.geometry(encoding), false)?,
@@ -1807,7 +1957,7 @@ mod tests {
             header(0, b"P"),
             "a.pcast: not a .pcast scene (byte 0: other magic number); make one with `planecast encode`"
         );
-        assert_eq!(header(8, &[4]), "a.pcast: byte 8: version 4 of .pcast, this program reads versions 1 to 3");
+        assert_eq!(header(8, &[5]), "a.pcast: byte 8: version 5 of .pcast, this program reads versions 1 to 4");
         assert_eq!(header(24, &[7]), "a.pcast: byte 24: encoding 7, 0 or 1 was expected");
         assert_eq!(header(27, &[9]), "a.pcast: byte 27: 9 levels, 4 were expected");
         assert_eq!(header(32, &[8]), "a.pcast: byte 32: a directory of 4 tiles at byte 8 does not fit the file");

@@ -1,16 +1,22 @@
 //! What a scene file says beside its voxels, between header and directory ([`crate::format`] has the byte map).
 
+use std::sync::Arc;
+
 use bytemuck::{Pod, Zeroable, bytes_of, pod_read_unaligned};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::About;
 use crate::format::ALIGN;
+use crate::model::matter::Classes;
 
 /// Tag of the section that holds an [`About`].
 const ABOUT: [u8; 4] = *b"ABUT";
 
 /// Tag of the section that holds [`About::fractions`].
 const FRACTIONS: [u8; 4] = *b"FRAC";
+
+/// Tag of the section that holds [`About::classes`].
+const CLASSES: [u8; 4] = *b"CLAS";
 
 /// Bytes of an [`About`] at most: it is text for people.
 const MAX_ABOUT: usize = 1 << 20;
@@ -40,7 +46,7 @@ pub fn pack(about: &About) -> Vec<u8> {
         bytes.extend_from_slice(content);
         bytes.resize(bytes.len().next_multiple_of(ALIGN as usize), 0);
     };
-    let fractions = std::mem::take(&mut about.fractions);
+    let (fractions, classes) = (std::mem::take(&mut about.fractions), about.classes.take());
     if about != About::default() {
         let text = serde_json::to_vec(&about).expect("plain values have a JSON form");
         if text.len() <= MAX_ABOUT {
@@ -50,7 +56,17 @@ pub fn pack(about: &About) -> Vec<u8> {
     if !fractions.is_empty() {
         section(FRACTIONS, &fractions);
     }
+    if let Some(classes) = classes {
+        section(CLASSES, &serde_json::to_vec(&*classes).expect("finite values have a JSON form"));
+    }
     bytes
+}
+
+/// Bytes of the first section with what fills it up, from its header; it says most. 0 where there is none.
+pub fn first(header: &[u8]) -> u64 {
+    let header = header.get(..size_of::<ChunkHeader>()).map(pod_read_unaligned::<ChunkHeader>);
+    let header = header.filter(|h| h.tag == ABOUT && h.len as usize <= MAX_ABOUT);
+    header.map_or(0, |h| (size_of::<ChunkHeader>() as u64 + u64::from(h.len)).next_multiple_of(ALIGN))
 }
 
 /// What sections say; those that are not known are passed over. An error names the byte, from the sections' start.
@@ -67,13 +83,19 @@ pub fn unpack(bytes: &[u8]) -> Result<About, (usize, String)> {
             return Err((at, "a section does not match its checksum; the file is damaged".to_owned()));
         }
         if header.tag == ABOUT {
-            let fractions = std::mem::take(&mut about.fractions);
+            let (fractions, classes) = (std::mem::take(&mut about.fractions), about.classes.take());
             about = serde_json::from_slice(content).map_err(|e| (from, format!("says what it is not as JSON: {e}")))?;
             about.clean();
-            about.fractions = fractions;
+            (about.fractions, about.classes) = (fractions, classes);
         }
         if header.tag == FRACTIONS {
             about.fractions = content.into();
+        }
+        if header.tag == CLASSES {
+            let classes: Classes =
+                serde_json::from_slice(content).map_err(|e| (from, format!("classes that are not JSON: {e}")))?;
+            classes.check().map_err(|what| (from, what))?;
+            about.classes = Some(Arc::new(classes));
         }
         let next = end.next_multiple_of(ALIGN as usize);
         if bytes.get(end..next).is_none_or(|fill| fill.iter().any(|b| *b != 0)) {

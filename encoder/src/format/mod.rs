@@ -1,4 +1,4 @@
-//! The byte layout of a `.pcast` file, versions 1 to 3.
+//! The byte layout of a `.pcast` file, versions 1 to 4.
 //!
 //! Little-endian throughout. Files are written whole and never changed in place; every blob is readable by itself.
 //!
@@ -41,6 +41,9 @@
 //! Version 3 is version 2 with tiles that may be specialized: bit 2 of a tile's flags says that sections of its blob have
 //! [other forms](#specialized-tiles) than below, or are not there. Files without such tiles are of version 1 or 2.
 //!
+//! Version 4 is version 3 with tiles that hold [translucent matter](#matter): bit 3 of a tile's flags says so. Files without such
+//! tiles are of version 1 to 3, and the same as before there was a version 4.
+//!
 //! A new major version is one that old readers must refuse; a new minor version adds what they may ignore.
 //!
 //! # Metadata
@@ -61,6 +64,8 @@
 //! |---|---|
 //! | `ABUT` | [`About`](crate::About) as one JSON object in UTF-8, at most 1 MiB: what was encoded, and how it was read. Fields may be left out or be new |
 //! | `FRAC` | a byte for each column of level 0, by rows of x: of a height field, how far the surface that it stands for is above a column's top, in 256ths of a voxel, 128 more |
+//!
+//! | `CLAS` | the classes of translucent matter as one JSON object: `{"window": [low, high] or null, "classes": [{"color": [r, g, b], "opacity": share a voxel takes, "mode": "volumetric", "surface", "additive" or "emissive"}]}`. Files of version 4 have it |
 //!
 //! # Blob
 //!
@@ -136,6 +141,20 @@
 //!
 //! **Colours** a tile, a column (empty ones, too) or an exposed run, where finer ones say the same. The first two need no
 //! table.
+//!
+//! # Matter
+//!
+//! The blob of a tile with matter (once unpacked, where it is compressed) is that of what is solid, if anything is, between a header
+//! and the matter:
+//!
+//! ```text
+//! solid_len u32, zeros 12 B | blob of solid_len B, as above, or nothing ]-[ end u32 × depth·width | run u32 × n
+//!   run: last u16 (low half), code u16 (high half)          end: of the column's runs, counted from the tile's first
+//! ```
+//!
+//! A column's runs go from voxel 0 up, each from behind the one before to its last voxel. Code 0 is nothing, code 8·k class k of
+//! `CLAS`, counted from 1; what lies between is a mixture ([`crate::model::matter`]), as coarser levels have. Matter may lie where
+//! voxels are solid; what is solid counts.
 //!
 //! Levels are never left out: with `--lod`, `--view-distance` and `--repeat` any of them may be the one to draw, and readers
 //! rely on all. Those above the first that has one tile cost 112 bytes each for entry and header, and together less than a
@@ -242,6 +261,10 @@ pub mod file;
 pub mod forms;
 pub(crate) mod lists;
 pub mod metadata;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod ranged;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod sheets;
 pub mod write;
 
 use bytemuck::{Pod, Zeroable};
@@ -260,6 +283,8 @@ pub const VERSION: [u16; 2] = [1, 0];
 pub const VERSION_COMPRESSED: [u16; 2] = [2, 0];
 /// Of files with specialized tiles.
 pub const VERSION_SPECIALIZED: [u16; 2] = [3, 0];
+/// Of files with translucent matter.
+pub const VERSION_MATTER: [u16; 2] = [4, 0];
 /// Minor version of files with metadata.
 pub const MINOR_METADATA: u16 = 1;
 /// Columns of a tile along x and z.
@@ -274,6 +299,10 @@ pub const EMPTY: u32 = 1;
 pub const COMPRESSED: u32 = 2;
 /// [`TileEntry::flags`]: the blob has forms other than those of the general layout.
 pub const SPECIALIZED: u32 = 4;
+/// [`TileEntry::flags`]: translucent matter follows what is solid.
+pub const MATTER: u32 = 8;
+/// Bytes before the solid part of a blob with matter.
+pub const MATTER_HEADER: usize = 16;
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]

@@ -21,6 +21,7 @@ use crate::format::forms::{COLOR_GROUP_SHIFT, Forms, GENERAL, GROUP_SHIFTS, Heig
 use crate::format::metadata;
 use crate::format::{self, ALIGN, BlobHeader, Grid, Header, Section, TileEntry};
 use crate::model::exposure;
+use crate::model::matter::Matter;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::store::passing::Unfinished;
 use crate::{About, ColorMode, Columns, Encoding, Error, Feature, Features, Level, MipRule, Result, Rgb, Run, Scene};
@@ -107,7 +108,14 @@ pub fn write_scene_with(scene: &Scene, features: Features, out: &mut (impl Write
         return Err(Error::Argument(format!("the scene has {} levels, {} were expected", levels.len(), grids.len())));
     }
     let modes = Modes { encoding: scene.encoding, color: scene.color };
-    let mut file = SceneWriter::new(out, path, scene.dims(), modes, scene.mip_rule, &About::default())?;
+    let mut file = SceneWriter::new(
+        out,
+        path,
+        scene.dims(),
+        modes,
+        scene.mip_rule,
+        &About { classes: scene.classes.clone(), ..About::default() },
+    )?;
     let mut tiles = Vec::new();
     for level in &levels {
         let [across, along] = level.grid.tiles;
@@ -183,6 +191,7 @@ impl<'a, W: Write + Seek> SceneWriter<'a, W> {
                 }
             }
             let version = match entry.flags {
+                flags if flags & format::MATTER != 0 => format::VERSION_MATTER,
                 flags if flags & format::SPECIALIZED != 0 => format::VERSION_SPECIALIZED,
                 flags if flags & format::COMPRESSED != 0 => format::VERSION_COMPRESSED,
                 _ => format::VERSION,
@@ -227,6 +236,24 @@ pub(crate) fn compressed(mut entry: TileEntry, blob: Vec<u8>, level: i32) -> (Ti
     entry.len = frame.len() as u32;
     entry.checksum = xxh3_64(&frame);
     (entry, frame)
+}
+
+/// A tile with its matter behind what is solid. An error is the number of bytes, beyond 32 bits.
+pub(crate) fn with_matter(
+    (mut entry, blob): (TileEntry, Vec<u8>),
+    matter: &Matter,
+) -> Result<(TileEntry, Vec<u8>), usize> {
+    let mut bytes = vec![0; format::MATTER_HEADER];
+    bytes[..4].copy_from_slice(&(blob.len() as u32).to_le_bytes());
+    bytes.extend_from_slice(&blob);
+    bytes.resize(bytes.len().next_multiple_of(ALIGN as usize), 0);
+    bytes.extend_from_slice(&matter.pack());
+    if u32::try_from(bytes.len()).is_err() {
+        return Err(bytes.len());
+    }
+    entry.flags = entry.flags & !format::EMPTY | format::MATTER;
+    (entry.len, entry.checksum) = (bytes.len() as u32, xxh3_64(&bytes));
+    Ok((entry, bytes))
 }
 
 /// One level, with what its tiles need to be cut out.
@@ -285,11 +312,17 @@ impl<'a> LevelSource<'a> {
         }
         let tile = Level {
             solid: self.level.solid.crop(xs.clone(), zs.clone()),
-            exposed: Some(self.exposed.crop(xs, zs)),
+            exposed: Some(self.exposed.crop(xs.clone(), zs.clone())),
             colors,
+            matter: None,
         };
         let modes = Modes { encoding: self.scene.encoding, color: self.scene.color };
-        tile_blob(&tile, modes, features).map_err(|len| too_long(self.k, tx, tz, len))
+        let matter = self.level.matter.as_ref().filter(|_| self.scene.classes.is_some()).map(|m| m.crop(xs, zs));
+        let made = tile_blob(&tile, modes, features).and_then(|made| match matter.filter(|m| !m.is_empty()) {
+            Some(matter) => with_matter(made, &matter),
+            None => Ok(made),
+        });
+        made.map_err(|len| too_long(self.k, tx, tz, len))
     }
 }
 

@@ -40,6 +40,9 @@ pub struct Info {
     pub solid_voxels: u64,
     /// Voxels of level 0 with an exposed face.
     pub surface_voxels: u64,
+    /// Translucent matter, where there is any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub matter: Option<MatterInfo>,
     /// All levels.
     pub bytes: ByteCounts,
     /// Geometry with column tables of level 0; none where no voxel is exposed.
@@ -49,6 +52,38 @@ pub struct Info {
     /// xxh3-64 over dimensions, modes and the checksums of all tiles, in hex: equal for equal scenes that are stored alike.
     pub content_hash: String,
     pub per_level: Vec<LevelInfo>,
+}
+
+/// Translucent matter of a file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MatterInfo {
+    pub classes: usize,
+    /// Values at the ends of the classes; absent of materials.
+    pub window: Option<[f64; 2]>,
+    /// Of level 0.
+    pub runs: u64,
+    pub voxels: u64,
+    /// Of all levels, unpacked.
+    pub bytes: u64,
+}
+
+impl MatterInfo {
+    fn of(file: &PcastFile) -> Result<Option<MatterInfo>> {
+        let Some(classes) = file.about().classes.as_ref().filter(|_| file.has_matter()) else { return Ok(None) };
+        let mut found =
+            MatterInfo { classes: classes.classes.len(), window: classes.window, runs: 0, voxels: 0, bytes: 0 };
+        for (k, grid) in file.grids().iter().enumerate() {
+            for (tx, tz) in (0..grid.tiles[1]).flat_map(|tz| (0..grid.tiles[0]).map(move |tx| (tx, tz))) {
+                let Some(matter) = file.matter(k, tx, tz)? else { continue };
+                found.bytes += matter.bytes() - 4;
+                if k == 0 {
+                    found.runs += matter.runs().len() as u64;
+                    found.voxels += matter.voxels();
+                }
+            }
+        }
+        Ok(Some(found))
+    }
 }
 
 /// What the tiles of a file need, and what they leave out. Tiles are those with a blob of their own, of all levels.
@@ -265,6 +300,7 @@ pub fn info(file: &PcastFile) -> Result<Info> {
         runs: finest.runs,
         solid_voxels: finest.solid_voxels,
         surface_voxels: finest.surface_voxels,
+        matter: MatterInfo::of(file)?,
         bytes,
         bytes_per_surface_voxel: (finest.surface_voxels > 0).then(|| geometry as f64 / finest.surface_voxels as f64),
         specialization: specialization(file, &tally, equal, &per_level),
@@ -366,6 +402,17 @@ impl fmt::Display for Info {
             self.runs as f64 / self.columns as f64
         )?;
         writeln!(f, "voxels    {} solid, {} with an exposed face", self.solid_voxels, self.surface_voxels)?;
+        if let Some(m) = &self.matter {
+            let of = match m.window {
+                Some([low, high]) => format!("steps from {} to {}", Short(low), Short(high)),
+                None => "materials".to_owned(),
+            };
+            writeln!(
+                f,
+                "matter    {} {of}; {} voxels, {} runs, {} bytes of all levels",
+                m.classes, m.voxels, m.runs, m.bytes
+            )?;
+        }
         let b = &self.bytes;
         writeln!(
             f,

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::sync::Arc;
 
+use crate::model::matter::Classes;
+
 /// Kinds of things that inputs are pictures of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -53,6 +55,9 @@ pub struct About {
     /// rows of x; empty where that is not known.
     #[serde(skip)]
     pub fractions: Arc<[u8]>,
+    /// The classes of the scene's translucent matter, where it has any.
+    #[serde(skip)]
+    pub classes: Option<Arc<Classes>>,
 }
 
 impl About {
@@ -76,6 +81,7 @@ impl About {
             rule,
             left_out,
             fractions: _,
+            classes: _,
         } = self;
         let texts = [source, format, axes, unit, crs, rule].into_iter().chain(left_out);
         texts.for_each(|text| text.retain(|c| !c.is_control()));

@@ -13,6 +13,14 @@ pub fn exposed(solid: &Columns) -> Columns {
     Columns::from_rows(nx, ny, nz, |z, out| expose_row(solid, z, out))
 }
 
+/// The same by this thread alone, for who has other threads busy.
+pub(crate) fn exposed_by_one(solid: &Columns) -> Columns {
+    let [nx, ny, nz] = solid.dims();
+    let mut out = ColumnsBuilder::new(nx, ny, nz);
+    (0..nz).for_each(|z| expose_row(solid, z, &mut out));
+    out.finish()
+}
+
 /// The first column whose runs in `exposed` are not just its voxels with an exposed face.
 pub fn find_wrong(solid: &Columns, exposed: &Columns) -> Option<[u32; 2]> {
     let [nx, ny, nz] = solid.dims();

@@ -28,6 +28,16 @@ pub enum Tints {
     Value(Tint),
 }
 
+/// A bit for each of up to 64 values, the first the lowest: whether it is at least that much.
+fn at_least(values: &[f32], least: f32) -> u64 {
+    // Bytes first, which compilers make of many values at a time; then the eight of a word side by side.
+    let mut bytes = [0u8; 64];
+    bytes.iter_mut().zip(values).for_each(|(byte, &v)| *byte = u8::from(v >= least));
+    let word = |eight: &[u8]| u64::from_le_bytes(eight.try_into().expect("chunks of eight"));
+    let packed = |eight: &[u8]| word(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+    bytes.chunks_exact(8).enumerate().fold(0, |bits, (i, eight)| bits | packed(eight) << (8 * i))
+}
+
 /// Values in the order of the world: y fastest, then x, then z. NaN is air.
 pub struct Grid {
     dims: [u32; 3],
@@ -109,10 +119,7 @@ impl Grid {
             for column in row.chunks_exact(ny as usize) {
                 let mut first = None;
                 for (block, values) in column.chunks(64).enumerate() {
-                    let mut bits = 0u64;
-                    for (i, &v) in values.iter().enumerate() {
-                        bits |= u64::from(v >= least) << i;
-                    }
+                    let bits = at_least(values, least);
                     // Where solid and air change, one after the other.
                     let mut changed = bits ^ (bits << 1 | u64::from(first.is_some()));
                     if values.len() < 64 {

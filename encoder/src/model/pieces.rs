@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::encode::build::UNCOLORED;
 use crate::model::grid::Grid;
+use crate::model::matter::{self, Matter};
 use crate::{About, Colors, Columns, ColumnsBuilder, Input, Result, Rgb};
 
 /// A world that can be read in pieces, in any order, by several threads.
@@ -29,6 +30,12 @@ pub trait Pieces: Send + Sync {
     /// How high columns are, where each is solid from 0 up, or empty: then nobody need make runs of them.
     fn heights(&self) -> Option<&HeightsFn> {
         None
+    }
+
+    /// The translucent matter of the columns `xs × zs`, of worlds that say its classes ([`About::classes`]); others have none.
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        let _ = (xs, zs);
+        Ok(None)
     }
 
     /// Bytes of the whole input, as far as they are read; 0 for functions.
@@ -60,16 +67,22 @@ pub fn whole(pieces: &dyn Pieces) -> Result<Input> {
 pub struct InMemory {
     input: Arc<Input>,
     about: About,
+    matter: Option<Matter>,
 }
 
 impl InMemory {
     pub fn new(input: Input) -> InMemory {
-        InMemory { input: Arc::new(input), about: About::default() }
+        InMemory { input: Arc::new(input), about: About::default(), matter: None }
     }
 
     /// The same, of which this is known.
     pub fn about(self, about: About) -> InMemory {
         InMemory { about, ..self }
+    }
+
+    /// The same with translucent matter, whose classes [`About`] says.
+    pub fn matter(self, matter: Matter) -> InMemory {
+        InMemory { matter: Some(matter), ..self }
     }
 }
 
@@ -88,6 +101,10 @@ impl Pieces for InMemory {
 
     fn about(&self) -> About {
         self.about.clone()
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        Ok(self.matter.as_ref().map(|matter| matter.crop(xs, zs)))
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
@@ -151,6 +168,8 @@ pub struct Rows {
     pub notes: Vec<String>,
     pub about: About,
     pub input_bytes: u64,
+    /// Voxels from the ground up that water reaches, of worlds that say its class.
+    pub water: Option<u32>,
 }
 
 impl Pieces for Rows {
@@ -187,6 +206,14 @@ impl Pieces for Rows {
             }
         };
         Ok(Input { columns, colors, notes: Vec::new() })
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        let Some(level) = self.water else { return Ok(None) };
+        let columns = Columns::try_from_rows([xs.len() as u32, self.dims[1], zs.len() as u32], |z, out| {
+            (self.row)(xs.clone(), z + zs.start, out)
+        })?;
+        Ok(Some(matter::water(&columns, level)))
     }
 
     fn heights(&self) -> Option<&HeightsFn> {
@@ -230,6 +257,10 @@ impl Pieces for Known {
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
         self.world.piece(xs, zs)
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        self.world.matter(xs, zs)
     }
 
     fn heights(&self) -> Option<&HeightsFn> {
@@ -277,6 +308,58 @@ pub fn named(world: Box<dyn Pieces>, name: &std::path::Path) -> Box<dyn Pieces> 
     Box::new(Known { world, about, _lives_on: None })
 }
 
+/// A world with water over columns that end below a level.
+pub struct Flooded {
+    pub world: Box<dyn Pieces>,
+    pub about: About,
+    /// Voxels from the ground up that water reaches.
+    pub level: u32,
+}
+
+impl Pieces for Flooded {
+    fn dims(&self) -> [u32; 3] {
+        let [nx, ny, nz] = self.world.dims();
+        [nx, ny.max(self.level), nz]
+    }
+
+    fn colored(&self) -> bool {
+        self.world.colored()
+    }
+
+    fn notes(&self) -> &[String] {
+        self.world.notes()
+    }
+
+    fn about(&self) -> About {
+        self.about.clone()
+    }
+
+    fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
+        let input = self.world.piece(xs, zs)?;
+        let [nx, _, nz] = input.columns.dims();
+        let columns = Columns::from_parts(
+            nx,
+            self.dims()[1],
+            nz,
+            input.columns.offsets().to_vec(),
+            input.columns.runs().to_vec(),
+        );
+        Ok(Input { columns, ..input })
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        Ok(Some(matter::water(&self.piece(xs, zs)?.columns, self.level)))
+    }
+
+    fn input_bytes(&self) -> u64 {
+        self.world.input_bytes()
+    }
+
+    fn rows_together(&self) -> u32 {
+        self.world.rows_together()
+    }
+}
+
 /// A world without colours, all of it grey.
 pub struct Grey(pub Box<dyn Pieces>);
 
@@ -299,6 +382,10 @@ impl Pieces for Grey {
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {
         Ok(Input { colors: Colors::Function(Box::new(|_, _, _| UNCOLORED)), ..self.0.piece(xs, zs)? })
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        self.0.matter(xs, zs)
     }
 
     fn heights(&self) -> Option<&HeightsFn> {

@@ -1,6 +1,9 @@
 //! A world in memory, with all its levels.
 
+use std::sync::Arc;
+
 use crate::Columns;
+use crate::model::matter::{Classes, Matter};
 
 /// sRGB, 8 bits a channel.
 pub type Rgb = [u8; 3];
@@ -49,6 +52,8 @@ pub struct Level {
     /// Colours: none; one a run of the geometry, in its order; or one an exposed voxel, in the order of
     /// `exposed` (column by column, ascending).
     pub colors: Vec<Rgb>,
+    /// Translucent matter beside what is solid; `None` where the level has none.
+    pub matter: Option<Arc<Matter>>,
 }
 
 impl Level {
@@ -68,11 +73,23 @@ pub struct Scene {
     pub color: ColorMode,
     pub mip_rule: MipRule,
     pub levels: Vec<Level>,
+    /// The classes of translucent matter, where levels have any.
+    pub classes: Option<Arc<Classes>>,
 }
 
 impl Scene {
     /// `[nx, ny, nz]` of level 0.
     pub fn dims(&self) -> [u32; 3] {
         self.levels[0].solid.dims()
+    }
+
+    /// The same with the matter of level 0, of these classes, where nothing is solid; coarser levels are made of it.
+    pub fn with_matter(mut self, matter: Matter, classes: Arc<Classes>) -> Scene {
+        let mut matter = matter.without(&self.levels[0].solid);
+        for level in &mut self.levels {
+            let next = matter.next(&classes);
+            level.matter = Some(Arc::new(std::mem::replace(&mut matter, next)));
+        }
+        Scene { classes: Some(classes), ..self }
     }
 }

@@ -47,6 +47,11 @@ pub trait TileSource: Send + Sync {
         false
     }
 
+    /// Where to stand first: a place in the air with something to see, voxels of level 0. None where any is as good.
+    fn start(&self) -> Option<[u32; 3]> {
+        None
+    }
+
     /// Whether a tile holds nothing, as far as that is known without reading or making it.
     fn is_empty(&self, key: TileKey) -> bool;
 
@@ -55,6 +60,11 @@ pub trait TileSource: Send + Sync {
     /// # Errors
     /// What is wrong with the tile, or with the way to it; asked again, it may come.
     fn tile(&self, key: TileKey) -> Result<Level>;
+
+    /// Whether it holds translucent matter, which tiles leave out.
+    fn has_matter(&self) -> bool {
+        false
+    }
 
     /// Bytes that a tile takes to read, as far as that is known.
     fn bytes(&self, _: TileKey) -> u64 {

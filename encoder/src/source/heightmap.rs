@@ -30,6 +30,7 @@ use super::relief::{self, Colors, Exaggeration, Means, Ramp};
 use super::{HeightCode, ReadOptions, guarded, world_dims};
 use crate::encode::build::UNCOLORED;
 use crate::model::about::Kind;
+use crate::model::matter::Classes;
 use crate::model::pieces::{ColumnColorsFn, HeightsFn, RowColors, Rows};
 use crate::{About, ColumnsBuilder, Error, Result, Rgb, Run};
 
@@ -242,6 +243,16 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         )));
     }
 
+    let mut water = None;
+    if let Some(height) = opts.water {
+        let level = ((height - base) * scale).round() + 1.0;
+        match level > 1.0 {
+            true => water = Some(level.min(65_536.0) as u32),
+            false => about.left_out.push(format!("--water {height}: nothing is lower than {base}")),
+        }
+        about.classes = water.map(|_| Classes::water());
+    }
+    let top = top.max(f64::from(water.unwrap_or(0)) - 1.0);
     let dims = world_dims(path, [width.into(), top as u64 + 1, height.into()], "")?;
     let heights = Arc::new(heights);
     if opts.show || opts.fractions {
@@ -281,7 +292,7 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
         ..=0xFFFF => Some(Box::new(move |x: u32, z, out: &mut [u16]| solid.row(x, z, out))),
         _ => None,
     };
-    Ok(Rows { dims, row: Box::new(row), heights: found, color, notes, about, input_bytes })
+    Ok(Rows { dims, row: Box::new(row), heights: found, color, notes, about, input_bytes, water })
 }
 
 /// How many voxels of each column are solid, from 0 up.

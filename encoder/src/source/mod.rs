@@ -11,6 +11,7 @@
 //! | `stack` | pages of a TIFF; folders of TIFF, PNG or JPEG slices | as stored, or z-up by `--up z` |
 //! | `dicom` | DICOM series, multi-frame files (feature `dicom`) | as stored, or z-up by `--up z` |
 //! | `zarr` | Zarr, OME-Zarr (feature `zarr`) | as stored, or z-up by `--up z` |
+//! | `blocks` | arrays that others read block by block | as NPY |
 //! | `vxl` | Voxlap and Ace of Spades maps | (x, D−1−z, y) |
 //! | `vox` | MagicaVoxel models and scenes | z-up |
 //! | `kv6` | kv6, kvx, Slab6's `.vox` | (x, D−1−z, y) |
@@ -19,6 +20,7 @@
 //! | `mesh`: `ply`, `obj`, `stl`, `gltf`, `texture` | PLY, OBJ, STL, glTF, with textures | as stored, or z-up by `--up z` |
 //! | `points`, `lidar`, `pcd` | LAS, LAZ, COPC, PCD, PLY without faces | z-up; PLY as stored, or z-up by `--up z` |
 //! | `procedural` | nothing: seeded functions | y-up |
+//! | `tiles` | what gives tiles when they are asked for: scene files, worlds without end | y-up |
 //!
 //! OpenVDB is not read. No crate is kept that could: of `vdb-rs` 0.6.0 (MIT) the last release is of January 2024, it knows
 //! no background values, so that the inside of a level set is lost, takes memory for what a file claims, and panics on 52 of
@@ -48,6 +50,7 @@
 //! | PCD packed by LZF | the points, unpacked | 88 times the file |
 
 mod binvox;
+mod blocks;
 mod cells;
 mod dem;
 #[cfg(feature = "dicom")]
@@ -91,6 +94,7 @@ mod text;
 #[cfg_attr(not(feature = "mesh"), allow(dead_code, reason = "PLY pictures always repeat"))]
 mod texture;
 mod tiff;
+pub mod tiles;
 mod values;
 mod volume;
 mod vox;
@@ -103,12 +107,14 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use crate::model::matter;
 use crate::model::pieces::{self, Pieces};
 use crate::store::guard::Map;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::store::remote;
-use crate::{Error, Input, Result};
+use crate::{About, Error, Input, Result};
 
+pub use blocks::{BlockArray, Blocks, blocks};
 pub use npy::{ArrayView, array};
 pub use relief::Exaggeration;
 
@@ -186,6 +192,24 @@ pub struct ReadOptions {
     /// Value of a height map that stands for no data [default: what the file says]
     #[arg(long, value_name = "V", allow_negative_numbers = true, value_parser = any_number)]
     pub nodata: Option<f64>,
+    /// Keep a volume's values as N steps of translucent matter, whose colours and opacities `render --transfer` sets; solid is then
+    /// only what --iso says
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub classes: Option<u16>,
+    /// Values that the steps of --classes divide; what is no more than LO is clear [default: least and greatest of a sample]
+    #[arg(long, value_name = "LO,HI", allow_negative_numbers = true, value_parser = parse_window, requires = "classes")]
+    pub window: Option<[f64; 2]>,
+    /// Water over what is lower, in the unit of a height map's values; of a procedural landscape in voxels
+    #[arg(long, value_name = "HEIGHT", allow_negative_numbers = true, value_parser = number)]
+    pub water: Option<f64>,
+}
+
+impl ReadOptions {
+    /// Whether any flag was typed.
+    pub fn is_given(&self) -> bool {
+        let typed = ReadOptions { show: false, ..self.clone() };
+        format!("{typed:?}") != format!("{:?}", ReadOptions::default())
+    }
 }
 
 /// How colours code heights.
@@ -342,6 +366,12 @@ fn parse_spacing(s: &str) -> Result<Spacing, String> {
     sides.filter(fits).map(Spacing::Of).ok_or_else(|| expected.to_owned())
 }
 
+fn parse_window(s: &str) -> Result<[f64; 2], String> {
+    let parts: Option<Vec<f64>> = s.split(',').map(|p| p.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    let ends: Option<[f64; 2]> = parts.and_then(|p| p.try_into().ok());
+    ends.filter(|[low, high]| low < high).ok_or_else(|| "expected two numbers that ascend, as in -200,1500".to_owned())
+}
+
 fn parse_dims(s: &str) -> Result<[u64; 3], String> {
     let wrong = || "expected three whole numbers, as in 256,128,64 (two for .r16)".to_owned();
     let mut parts: Vec<u64> = s.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
@@ -363,7 +393,7 @@ pub fn open(path: &Path, opts: &ReadOptions) -> Result<Input> {
 /// The same, read piece by piece; volumes are never in memory as a whole.
 pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     if let Some(name) = path.to_str().and_then(|p| p.strip_prefix("procedural:")) {
-        return procedural::from_name(name);
+        return procedural::from_name(name).map(|world| flooded(world, opts));
     }
     #[cfg(not(target_arch = "wasm32"))]
     {
@@ -373,6 +403,21 @@ pub fn open_pieces(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     }
     #[cfg(target_arch = "wasm32")]
     open_local(path, opts)
+}
+
+/// A world made of a function, with the water that was asked for.
+fn flooded(world: Box<dyn Pieces>, opts: &ReadOptions) -> Box<dyn Pieces> {
+    let mut about = world.about();
+    if opts.classes.is_some() {
+        about.left_out.push("--classes: it is for volumes".to_owned());
+    }
+    let Some(level) = opts.water.map(|height| height.clamp(0.0, MAX_HEIGHT as f64) as u32).filter(|&level| level > 0)
+    else {
+        return world;
+    };
+    about.kind = Some(crate::model::about::Kind::Procedural);
+    about.classes = Some(matter::Classes::water());
+    Box::new(pieces::Flooded { world, about, level })
 }
 
 fn open_local(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
@@ -505,7 +550,7 @@ fn dicom_series(path: &Path, _: &[PathBuf], _: &ReadOptions) -> Result<volume::V
 
 #[cfg(feature = "zarr")]
 fn zarr_folder(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
-    Ok(Box::new(zarr::read(path, opts)?))
+    zarr::read(path, opts)
 }
 
 #[cfg(not(feature = "zarr"))]
@@ -521,7 +566,19 @@ enum World<'a> {
     Pieces(Box<dyn Pieces>),
 }
 
-/// Reads an input whose file at `path` holds `bytes`.
+/// Reads an input whose file at `path` holds `bytes`, with its translucent matter, and what is known of it.
+pub fn read_all(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<(Input, Option<matter::Matter>, About)> {
+    let all = |world: &dyn Pieces| {
+        let [nx, _, nz] = world.dims();
+        Ok((pieces::whole(world)?, world.matter(0..nx, 0..nz)?, world.about()))
+    };
+    match find(path, bytes, false, opts)? {
+        World::Volume(volume) => all(&volume),
+        World::Pieces(pieces) => all(&*pieces),
+    }
+}
+
+/// Reads an input whose file at `path` holds `bytes`: what is solid of it.
 pub fn read(path: &Path, bytes: &[u8], opts: &ReadOptions) -> Result<Input> {
     match find(path, bytes, false, opts)? {
         World::Volume(volume) => pieces::whole(&volume),
@@ -586,6 +643,8 @@ fn find<'a>(path: &Path, bytes: &'a [u8], in_file: bool, opts: &ReadOptions) -> 
     unused("--rgb", opts.rgb.is_some() && !is_image, "it is for images of heights in colours");
     unused("--ramp", opts.ramp.is_some() && !is_map && !is_volume, "it is for height maps and volumes");
     unused("--exaggeration", opts.exaggeration.is_some() && !is_map, "it is for height maps");
+    unused("--classes", opts.classes.is_some() && !is_volume, "it is for volumes");
+    unused("--water", opts.water.is_some() && !is_map, "it is for height maps");
     unused("--nodata", opts.nodata.is_some() && !is_map, "it is for height maps");
     unused("--height-scale", opts.height_scale.is_some() && !is_map, "it is for height maps");
     if format == Format::Npy

@@ -85,7 +85,7 @@ pub fn array<'a>(path: &Path, view: ArrayView<'a>, opts: &ReadOptions) -> Result
 }
 
 /// Number of axes, 2 or 3, and their lengths, last axis first; axes of one place are left out where there are more.
-fn axes(shape: &[u64]) -> Result<(usize, [u64; 3]), String> {
+pub(super) fn axes(shape: &[u64]) -> Result<(usize, [u64; 3]), String> {
     let mut axes = shape.to_vec();
     while axes.len() > 3
         && let Some(one) = axes.iter().position(|&n| n == 1)
@@ -351,6 +351,17 @@ fn bytes_of(of: &Value) -> Result<u64, String> {
         Value::List(_) => record(of, &mut Vec::new()).map(|(_, bytes, _)| bytes),
         other => Err(format!("values of type {other}; expected a name or a list of fields")),
     }
+}
+
+/// A type whose values are those of a volume as they lie, in this machine's byte order.
+pub(super) fn plain_type(name: &str) -> Result<Dtype, String> {
+    let Number { dtype, half, big_endian, .. } = number(name)?;
+    if half || big_endian != cfg!(target_endian = "big") {
+        return Err(format!(
+            "values of type {name:?}; expected 8 bits, or more in this machine's byte order, and no half floats"
+        ));
+    }
+    Ok(dtype)
 }
 
 /// A type as `numpy.dtype` takes it: "<f4", "uint8", "h".

@@ -1025,7 +1025,11 @@ fn procedural_scenes_keep_their_promises_at_any_size() {
                 Ok(input) => {
                     assert_eq!(broken_promise(&input), None, "{kind:?} {size}");
                     assert_eq!([input.columns.nx(), input.columns.nz()], [size; 2]);
-                    let Colors::Function(color) = &input.colors else { panic!("{kind:?} has no colours") };
+                    let Colors::Function(color) = &input.colors else {
+                        // All of a cloud is matter, whose classes have colours.
+                        assert_eq!(*kind, Kind::Cloud);
+                        continue;
+                    };
                     let top = input.columns.column(0, 0).last().map_or(0, |r| r.last().into());
                     color(0, top, 0);
                 }

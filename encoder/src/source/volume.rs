@@ -22,10 +22,12 @@ use super::measure::{Meant, Measured, Paint, Solid};
 use super::place::{self, Along, Oriented, Place};
 use super::relief::{Ramp, Table};
 use super::{Dtype, ReadOptions, Up, world_dims};
-use crate::model::about::Kind;
+use crate::model::about::{Kind, Short};
 use crate::model::exposure;
 use crate::model::grid::{Grid, Tints};
+use crate::model::matter::{Classes, Matter, MatterBuilder, STEPS};
 use crate::model::pieces::Pieces;
+use crate::model::transfer::Transfer;
 use crate::store::scratch::{self, File, read_at};
 use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
@@ -490,7 +492,12 @@ impl<'a> Volume<'a> {
 
         let size = dtype.size();
         let decode: Decode = with_sample!(dtype, big_endian, |read| decoder(read, scale, missing));
-        let (solid, mut paint, rule, values) = if measured {
+        let clear = opts.classes.is_some() && opts.iso.is_none();
+        let (solid, mut paint, rule, values) = if clear {
+            let found = Measured::of(&data, size, &*decode)?;
+            // No value is at least what is no number.
+            (Solid::AtLeast(f64::NAN), Paint::None, "nothing is solid (--iso)".to_owned(), found.range())
+        } else if measured {
             let found = Measured::of(&data, size, &*decode)?;
             let is_float = matches!(dtype, Dtype::F32 | Dtype::F64);
             let zero = !is_float && scale.is_some_and(|(_, inter)| size == 1 || inter != 0.0);
@@ -513,8 +520,18 @@ impl<'a> Volume<'a> {
                 }
             }
         };
+        let mut rule = rule;
+        let mut classes = None;
+        if let Some(n) = opts.classes {
+            let range = values.or(Measured::of(&data, size, &*decode)?.range()).unwrap_or([0.0, 1.0]);
+            let [low, high] = opts.window.unwrap_or(range);
+            // Values that are all the same have a step as any others.
+            let window = if low < high { [low, high] } else { [low, low + 1.0] };
+            rule = format!("{rule}; {n} steps of matter from {} to {} (--window)", Short(window[0]), Short(window[1]));
+            classes = Some(Transfer::usual().classes(window, n.into()));
+        }
         let mut ramp = None;
-        if let Some(name) = &opts.ramp {
+        if let Some(name) = opts.ramp.as_ref().filter(|_| !clear) {
             if paint == Paint::None && !measured {
                 let least = if let Solid::AtLeast(least) = solid { least } else { f64::from_bits(1) };
                 paint = Measured::of(&data, size, &*decode)?.rule(Some(least), &Meant::default()).1;
@@ -549,6 +566,7 @@ impl<'a> Volume<'a> {
         };
 
         let mut about = said;
+        about.classes = classes.map(Arc::new);
         if !about.format.is_empty() {
             about.kind = Some(if paint == Paint::Labels { Kind::Labels } else { Kind::Volume });
             about.rule = if about.rule.is_empty() { rule } else { format!("{}; {rule}", about.rule) };
@@ -895,6 +913,60 @@ impl<'a> Volume<'a> {
         Ok(Colors::Voxel { offsets, entries })
     }
 
+    /// The steps of values of the columns `xs × zs`.
+    fn steps(&self, xs: Range<u32>, zs: Range<u32>, classes: &Classes) -> Result<Matter> {
+        let Some([low, high]) = classes.window else { unreachable!("classes of values") };
+        let (ny, width, n) = (self.dims[1], xs.len(), classes.classes.len());
+        let per = n as f64 / (high - low);
+        let class = |v: f64| match v > low {
+            true => (((v - low) * per) as usize).min(n - 1) as u16 + 1,
+            // No number, too.
+            false => 0,
+        };
+        // Some rows at a time, as bytes of all heights.
+        let rows = (STEPS_AT_ONCE / (2 * width * ny as usize)).clamp(1, zs.len()) as u32;
+        let parts: Vec<Range<u32>> = zs.clone().step_by(rows as usize).map(|z| z..zs.end.min(z + rows)).collect();
+        let part = |zs: &Range<u32>| {
+            let mut ranges = [0..0, 0..0, 0..0];
+            // From places along the file's axes to those of `found`: heights first, then x, then z.
+            let (mut first, mut stride) = (0i64, [0i64; 3]);
+            let sides = [(0, xs.clone(), i64::from(ny)), (1, 0..ny, 1), (2, zs.clone(), i64::from(ny) * width as i64)];
+            for (k, of, step) in sides {
+                let f = self.axes[k];
+                let (start, end, n) = (u64::from(of.start), u64::from(of.end), self.along[f].n);
+                let flips = self.flips[k];
+                ranges[f] = if flips { n - end..n - start } else { start..end };
+                stride[f] = if flips { -step } else { step };
+                first += if flips { step * (of.len() as i64 - 1) } else { 0 };
+            }
+            let [us, vs, ws] = ranges;
+            let mut found = vec![0u16; width * ny as usize * zs.len()];
+            let (mut buffers, mut values) = (Buffers::default(), Vec::new());
+            for w in ws.clone() {
+                self.rows(us.clone(), vs.clone(), w, &mut buffers, |v, row| {
+                    values.clear();
+                    match row {
+                        Row::Stored(bytes) => (self.decode)(bytes, &mut values),
+                        Row::Meant(of) => values.extend_from_slice(of),
+                    }
+                    let mut at = first + stride[1] * (v - vs.start) as i64 + stride[2] * (w - ws.start) as i64;
+                    for &value in &values {
+                        found[at as usize] = class(value);
+                        at += stride[0];
+                    }
+                })?;
+            }
+            let mut out = MatterBuilder::new(width as u32, ny, zs.len() as u32);
+            for column in found.chunks_exact(ny as usize) {
+                column.chunk_by(|a, b| a == b).for_each(|same| out.push(same.len() as u32, same[0] * STEPS));
+                out.end_column();
+            }
+            Ok(out.finish())
+        };
+        let parts: Vec<Matter> = parts.par_iter().map(part).collect::<Result<_>>()?;
+        Matter::concat([width as u32, ny, zs.len() as u32], &parts)
+    }
+
     /// Columns `us × vs`, axes of the file other than the up axis, the faster first.
     fn scan(&self, us: Range<u64>, vs: Range<u64>) -> Result<Columns> {
         let ny = self.dims[1];
@@ -968,6 +1040,8 @@ impl<'a> Volume<'a> {
     }
 }
 
+/// Bytes of steps that a thread finds at once.
+const STEPS_AT_ONCE: usize = 16 << 20;
 /// Bytes read at once: what a core's cache holds.
 const STRETCH: u64 = 256 << 10;
 /// The same of an object elsewhere: what takes longer to come than to ask for.
@@ -989,6 +1063,10 @@ impl Pieces for Volume<'_> {
 
     fn about(&self) -> About {
         self.about.clone()
+    }
+
+    fn matter(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Option<Matter>> {
+        self.about.classes.as_ref().map(|classes| self.steps(xs, zs, classes)).transpose()
     }
 
     fn piece(&self, xs: Range<u32>, zs: Range<u32>) -> Result<Input> {

@@ -8,12 +8,14 @@
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use dot_vox::{DotVoxData, SceneNode};
 
 use super::spots::Spot;
 use super::{cells, guarded};
 use crate::model::about::Kind;
+use crate::model::matter::{Class, Classes, Matter, MatterBuilder, Mode, STEPS};
 use crate::model::pieces::InMemory;
 use crate::{About, Error, Result};
 
@@ -319,6 +321,7 @@ fn place(
     let dims = cells::dims(path, [x, z, y])?;
     let mut spots = Vec::with_capacity(n_voxels as usize);
     let mut empty = 0u64;
+    let mut clear = Clear::new(data);
     for instance in instances {
         let [sx, sy, sz] = size(instance);
         for v in bytes[ids.models[instance.model].1.clone()].as_chunks::<4>().0 {
@@ -339,19 +342,90 @@ fn place(
             };
             let cell = instance.place.cell([p[0] - sx / 2, p[1] - sy / 2, p[2] - sz / 2]);
             let column = (high[1] - cell[1]) as u32 * dims[0] + (cell[0] - low[0]) as u32;
-            spots.push(Spot { column, y: (cell[2] - low[2]) as u16, color: [c.r, c.g, c.b] });
+            let (y, color) = ((cell[2] - low[2]) as u16, [c.r, c.g, c.b]);
+            match clear.code(v[3], color) {
+                Some(code) => clear.spots.push((column, y, code)),
+                None => spots.push(Spot { column, y, color }),
+            }
         }
     }
     if empty > 0 {
         about.left_out.push(format!("{empty} voxels of colour 0, which is none"));
     }
-    let clear = data.materials.iter().filter(|m| {
-        let kind = m.properties.get("_type").map(String::as_str);
-        matches!(kind, Some("_glass" | "_cloud" | "_blend" | "_media"))
-    });
-    let clear = clear.count();
-    if clear > 0 {
-        about.left_out.push(format!("the transparency of {clear} materials, which are drawn solid"));
+    let input = cells::input(dims, spots, Vec::new());
+    if clear.spots.is_empty() {
+        return Ok(InMemory::new(input).about(about));
     }
-    Ok(InMemory::new(cells::input(dims, spots, Vec::new())).about(about))
+    let matter = clear.matter(dims);
+    about.classes = Some(Arc::new(Classes { window: None, classes: clear.classes }));
+    Ok(InMemory::new(input).about(about).matter(matter))
+}
+
+/// Voxels of glass and other clear materials.
+struct Clear<'a> {
+    data: &'a DotVoxData,
+    /// By colour: the code of its material, once a voxel has it; 0 for what is solid.
+    codes: [Option<u16>; 256],
+    classes: Vec<Class>,
+    /// Column, height and code.
+    spots: Vec<(u32, u16, u16)>,
+}
+
+impl Clear<'_> {
+    fn new(data: &DotVoxData) -> Clear<'_> {
+        Clear { data, codes: [None; 256], classes: Vec::new(), spots: Vec::new() }
+    }
+
+    fn code(&mut self, index: u8, color: [u8; 3]) -> Option<u16> {
+        let code = self.codes[usize::from(index)].unwrap_or_else(|| {
+            let material = self.data.materials.iter().find(|m| m.id == u32::from(index));
+            let class = material.and_then(|m| class(&m.properties, color));
+            let code = class.map_or(0, |class| {
+                self.classes.push(class);
+                self.classes.len() as u16 * STEPS
+            });
+            self.codes[usize::from(index)] = Some(code);
+            code
+        });
+        (code > 0).then_some(code)
+    }
+
+    /// Of several at a place the last shows.
+    fn matter(&mut self, [nx, ny, nz]: [u32; 3]) -> Matter {
+        self.spots.sort_by_key(|&(column, y, _)| (column, y));
+        let mut out = MatterBuilder::new(nx, ny, nz);
+        let mut spots = self.spots.iter().peekable();
+        for column in 0..nx * nz {
+            let mut at = 0;
+            while let Some(&(_, y, code)) = spots.next_if(|s| s.0 == column) {
+                if spots.peek().is_some_and(|next| (next.0, next.1) == (column, y)) {
+                    continue;
+                }
+                out.push(u32::from(y) - at, 0);
+                out.push(1, code);
+                at = u32::from(y) + 1;
+            }
+            out.end_column();
+        }
+        out.finish()
+    }
+}
+
+/// What a material is, where light passes through it. Properties are as the editor writes them: `_trans` is how clear glass is,
+/// `_d` how dense a medium.
+fn class(properties: &dot_vox::Dict, color: [u8; 3]) -> Option<Class> {
+    let number = |key: &str| properties.get(key).and_then(|v| v.trim().parse::<f64>().ok()).filter(|v| v.is_finite());
+    let share = |v: f64| v.clamp(0.0, 1.0);
+    match properties.get("_type").map(String::as_str)? {
+        "_glass" | "_blend" => {
+            let clear = share(number("_trans").or(number("_alpha")).unwrap_or(0.5));
+            (clear > 0.0).then_some(Class { color, opacity: 1.0 - clear, mode: Mode::Surface })
+        }
+        "_media" | "_cloud" => {
+            let shines = properties.get("_media_type").is_some_and(|kind| kind == "_emit");
+            let mode = if shines { Mode::Emissive } else { Mode::Volumetric };
+            Some(Class { color, opacity: share(number("_d").unwrap_or(0.05)), mode })
+        }
+        _ => None,
+    }
 }

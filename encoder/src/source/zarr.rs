@@ -4,8 +4,10 @@
 //! `_ARRAY_DIMENSIONS` (xarray); without names the last three are z, y, x. Of channels, times and other axes the first place is
 //! read. What values mean is said by the attributes of CF, which xarray and GDAL write: `scale_factor`, `add_offset`, `_FillValue`,
 //! `missing_value`, `_Unsigned`, `units`. Of an image's resolutions the finest is read, or the one whose folder is named. Chunks
-//! go to a file without a name, one row of them after the other, so that the array need not fit into memory.
+//! are read as `blocks` asks for them, so that the array need not fit into memory; those that nobody wrote are not, where what
+//! they stand for is air.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,19 +15,16 @@ use serde_json::Value;
 use zarrs::array::{Array, ArrayBytes, ArrayShardedExt, ArraySubset, data_type};
 use zarrs::filesystem::FilesystemStore;
 
+use super::blocks::{self, Blocks, Known};
 use super::place::in_one_unit;
 use super::tiff::half;
-use super::volume::{Data, Stored, Volume};
 use super::{Dtype, ReadOptions, Up, guarded, world_dims};
 use crate::model::about::Kind;
-use crate::store::scratch::{self, write_at};
+use crate::model::pieces::Pieces;
 use crate::{About, Error, Result};
 
 /// Bytes of one chunk: what is unpacked at once.
 const CHUNK_LIMIT: u64 = 1 << 30;
-
-/// Bytes of a row of chunks above which it is read chunk by chunk.
-const ROW_LIMIT: u64 = 1 << 28;
 
 /// A folder's metadata.
 struct Node {
@@ -57,7 +56,7 @@ struct Image {
     left_out: Vec<String>,
 }
 
-pub(super) fn read(path: &Path, opts: &ReadOptions) -> Result<Volume<'static>> {
+pub(super) fn read(path: &Path, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     let (folder, image) = find(path)?;
     guarded(path, "Zarr", || array(&folder, image, opts))
 }
@@ -392,7 +391,86 @@ enum Convert {
     Brain,
 }
 
-fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volume<'static>> {
+/// Who reads the chunks of an array when they are asked for.
+struct Chunks {
+    folder: PathBuf,
+    array: Array<FilesystemStore>,
+    /// The array's axis of z, y, x.
+    axes: [Option<usize>; 3],
+    /// Sides of what lies in one file.
+    sides: Vec<u64>,
+    convert: Convert,
+    size: usize,
+}
+
+impl Chunks {
+    /// Values along x, y, z, the first fastest, in the type of the volume.
+    fn values(&self, [zs, ys, xs]: [&Range<u64>; 3]) -> Result<Vec<u8>> {
+        let fail = |what: String| Error::format(&self.folder, format!("Zarr: {what}"));
+        let mut ranges = vec![0..1; self.array.shape().len()];
+        for (axis, of) in self.axes.into_iter().zip([zs, ys, xs]) {
+            if let Some(axis) = axis {
+                ranges[axis] = of.clone();
+            }
+        }
+        let values: ArrayBytes<'static> = self
+            .array
+            .retrieve_array_subset(&ArraySubset::new_with_ranges(&ranges))
+            .map_err(|e| fail(e.to_string()))?;
+        let values = values.into_fixed().map_err(|e| fail(e.to_string()))?;
+        // Bytes from a value to the next along each axis of the part.
+        let one = if self.convert == Convert::As { self.size } else { 2 };
+        let mut strides = vec![one; ranges.len()];
+        for i in (0..ranges.len() - 1).rev() {
+            strides[i] = strides[i + 1] * (ranges[i + 1].end - ranges[i + 1].start) as usize;
+        }
+        let [sz, sy, sx] = self.axes.map(|axis| axis.map_or(0, |axis| strides[axis]));
+        let [nz, ny, nx] = [zs, ys, xs].map(|of| (of.end - of.start) as usize);
+        let mut out = Vec::with_capacity(nx * ny * nz * self.size);
+        for from in (0..nz).flat_map(|z| (0..ny).map(move |y| z * sz + y * sy)) {
+            match self.convert {
+                Convert::As if sx == one => out.extend_from_slice(&values[from..from + nx * one]),
+                Convert::As => (0..nx).for_each(|i| out.extend_from_slice(&values[from + i * sx..][..one])),
+                _ => (0..nx).for_each(|i| {
+                    let bits = u16::from_ne_bytes([values[from + i * sx], values[from + i * sx + 1]]);
+                    let brain = || f32::from_bits(u32::from(bits) << 16);
+                    let v = if self.convert == Convert::Half { half(bits) } else { brain() };
+                    out.extend_from_slice(&v.to_ne_bytes());
+                }),
+            }
+        }
+        Ok(out)
+    }
+}
+
+impl Blocks for Chunks {
+    fn read(&self, places: &[Range<u64>]) -> Result<Vec<u8>> {
+        let [zs, ys, xs] = places else { unreachable!("a volume has three axes") };
+        guarded(&self.folder, "Zarr", || self.values([zs, ys, xs]))
+    }
+
+    /// Whether any file of these chunks is there.
+    fn holds(&self, places: &[Range<u64>]) -> bool {
+        let mut at = vec![0u64; self.sides.len()];
+        let mut ends = vec![1u64; self.sides.len()];
+        for (axis, of) in self.axes.into_iter().zip(places) {
+            if let Some(axis) = axis {
+                (at[axis], ends[axis]) = (of.start / self.sides[axis], of.end.div_ceil(self.sides[axis]));
+            }
+        }
+        let starts = at.clone();
+        loop {
+            if self.folder.join(self.array.chunk_key(&at).as_str()).exists() {
+                return true;
+            }
+            let Some(axis) = (0..at.len()).rev().find(|&i| at[i] + 1 < ends[i]) else { return false };
+            at[axis] += 1;
+            at[axis + 1..].copy_from_slice(&starts[axis + 1..]);
+        }
+    }
+}
+
+fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Box<dyn Pieces>> {
     let fail = |what: String| Error::format(folder, format!("Zarr: {what}"));
     let own = node(folder)?;
     if own.is_group {
@@ -467,50 +545,7 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
         );
         return Err(Error::Limit(what));
     }
-    let (cx, cy, cz) = (chunk[ix], chunk[iy], iz.map_or(1, |i| chunk[i]));
-    let row_bytes = cz.min(nz).saturating_mul(cy.min(ny)).saturating_mul(nx).saturating_mul(stored_size);
-    let cx = if row_bytes <= ROW_LIMIT { nx } else { cx };
-
-    let scratch = |action| move |e| Error::io(std::env::temp_dir(), action, e);
-    let file = scratch::file().map_err(scratch("create a file in"))?;
-    let starts = |n: u64, step: u64| (0..n).step_by(step as usize).map(move |from| from..(from + step).min(n));
-    for (zs, ys) in starts(nz, cz).flat_map(|zs| starts(ny, cy).map(move |ys| (zs.clone(), ys))) {
-        for xs in starts(nx, cx) {
-            let mut ranges = vec![0..1; shape.len()];
-            (ranges[ix], ranges[iy]) = (xs.clone(), ys.clone());
-            if let Some(iz) = iz {
-                ranges[iz] = zs.clone();
-            }
-            let values: ArrayBytes<'static> =
-                array.retrieve_array_subset(&ArraySubset::new_with_ranges(&ranges)).map_err(|e| fail(e.to_string()))?;
-            let values = values.into_fixed().map_err(|e| fail(e.to_string()))?;
-            // Bytes from a value to the next along each axis of the part.
-            let mut strides = vec![stored_size as usize; shape.len()];
-            for i in (0..shape.len() - 1).rev() {
-                strides[i] = strides[i + 1] * (ranges[i + 1].end - ranges[i + 1].start) as usize;
-            }
-            let (sx, sy, sz) = (strides[ix], strides[iy], iz.map_or(0, |i| strides[i]));
-            let n = (xs.end - xs.start) as usize;
-            let one = stored_size as usize;
-            let mut row = Vec::with_capacity(n * dtype.size() as usize);
-            for (z, y) in zs.clone().flat_map(|z| ys.clone().map(move |y| (z, y))) {
-                let from = (z - zs.start) as usize * sz + (y - ys.start) as usize * sy;
-                row.clear();
-                match convert {
-                    Convert::As if sx == one => row.extend_from_slice(&values[from..from + n * one]),
-                    Convert::As => (0..n).for_each(|i| row.extend_from_slice(&values[from + i * sx..][..one])),
-                    _ => (0..n).for_each(|i| {
-                        let bits = u16::from_ne_bytes([values[from + i * sx], values[from + i * sx + 1]]);
-                        let v =
-                            if convert == Convert::Half { half(bits) } else { f32::from_bits(u32::from(bits) << 16) };
-                        row.extend_from_slice(&v.to_ne_bytes());
-                    }),
-                }
-                let at = ((z * ny + y) * nx + xs.start) * dtype.size();
-                write_at(&file, &row, at).map_err(scratch("write a file in"))?;
-            }
-        }
-    }
+    let sides = array.chunk_shape(&vec![0; shape.len()]).map_err(|e| fail(e.to_string()))?;
 
     let format = match &image {
         Some(Image { version, .. }) => format!("OME-Zarr {version}").trim_end().to_owned(),
@@ -589,11 +624,30 @@ fn array(folder: &Path, image: Option<Image>, opts: &ReadOptions) -> Result<Volu
     }
     about.rule = rule.join(", ");
     about.left_out = left_out;
-    let len = nx * ny * nz * dtype.size();
-    let data = Data::File { path: folder.to_owned(), file, at: 0, len };
-    let big_endian = cfg!(target_endian = "big");
     let missing = missing.first().copied();
-    Volume::new(folder, Stored { big_endian, scale, missing, about, ..Stored::new([nx, ny, nz], dtype, data) }, opts)
+    let chunks = Chunks {
+        folder: folder.to_owned(),
+        array,
+        axes: [iz, Some(iy), Some(ix)],
+        sides: sides.iter().map(|n| n.get()).collect(),
+        convert,
+        size: dtype.size() as usize,
+    };
+    let chunk = [iz.map_or(1, |i| chunk[i]), chunk[iy], chunk[ix]];
+    let sizes = [[nz, ny, nx], chunk];
+    let fill = fill_value(&own).filter(|_| !unsigned);
+    blocks::volume(folder, sizes, (dtype, fill), Known { scale, missing, about }, Box::new(chunks), opts)
+}
+
+/// What is where nothing was written, as far as it is a number.
+fn fill_value(own: &Node) -> Option<f64> {
+    match &own.metadata["fill_value"] {
+        Value::Null => Some(0.0),
+        Value::Bool(of) => Some(f64::from(u8::from(*of))),
+        Value::Number(of) => of.as_f64(),
+        Value::String(of) => of.parse().ok(),
+        _ => None,
+    }
 }
 
 /// Names of an array's axes, empty where there are none, and who gave them.
@@ -615,6 +669,8 @@ fn names(own: &Node, image: Option<&Image>, rank: usize) -> (Vec<Axis>, &'static
         None => (vec![Axis::default(); rank], ""),
     }
 }
+
+pub(super) mod lazy;
 
 #[cfg(test)]
 mod tests;

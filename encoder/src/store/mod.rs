@@ -5,5 +5,7 @@ pub mod guard;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod passing;
 #[cfg(not(target_arch = "wasm32"))]
+pub mod ranges;
+#[cfg(not(target_arch = "wasm32"))]
 pub mod remote;
 pub(crate) mod scratch;

@@ -30,6 +30,7 @@ use crate::Error;
 use crate::Result;
 use crate::model::pieces::Pieces;
 use crate::source::ReadOptions;
+use crate::store::ranges::Ranges;
 
 const SCHEMES: [&str; 11] = ["s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https", "file"];
 
@@ -67,6 +68,28 @@ pub(crate) fn scene(url: &Path, is_scene: fn(&Path, &[u8]) -> bool) -> Result<Op
 
 #[cfg(not(feature = "object-store"))]
 pub(crate) fn scene(url: &Path, _: fn(&Path, &[u8]) -> bool) -> Result<Option<crate::PcastFile>> {
+    without(url)
+}
+
+/// The ranges of the scene at `url`; None where `is_scene` says of its name and first bytes that it is none.
+#[cfg(feature = "object-store")]
+pub(crate) fn ranges(url: &Path, is_scene: fn(&Path, &[u8]) -> bool) -> Result<Option<Box<dyn Ranges>>> {
+    object::ranges(url, is_scene)
+}
+
+#[cfg(not(feature = "object-store"))]
+pub(crate) fn ranges(url: &Path, _: fn(&Path, &[u8]) -> bool) -> Result<Option<Box<dyn Ranges>>> {
+    without(url)
+}
+
+/// All bytes of what is at `url`, `most` at most.
+#[cfg(feature = "object-store")]
+pub(crate) fn text(url: &Path, most: u64) -> Result<Vec<u8>> {
+    object::text(url, most)
+}
+
+#[cfg(not(feature = "object-store"))]
+pub(crate) fn text(url: &Path, _: u64) -> Result<Vec<u8>> {
     without(url)
 }
 

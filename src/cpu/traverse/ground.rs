@@ -84,7 +84,7 @@ struct Strip<R> {
 }
 
 /// What [`Strip`]s are worked out from, in lines and cells of a level.
-struct Grid<R> {
+struct Grid<'a, R> {
     dir: [R; 2],
     inverse: [R; 2],
     fract: [R; 2],
@@ -94,13 +94,15 @@ struct Grid<R> {
     size: [i32; 2],
     repeats: [bool; 2],
     level: u32,
+    /// Where its columns stand.
+    tables: &'a ResidentLevel,
     /// The axis that the plane follows most.
     major: usize,
     /// 0 to `SLICES − 1`, as numbers that a compiler does not know: it would unroll the first, and write vectors in parts.
     slices: [i32; SLICES],
 }
 
-impl<R: Real> Grid<R> {
+impl<R: Real> Grid<'_, R> {
     /// As in the general walk.
     #[inline(always)]
     fn cross(&self, axis: usize, line: i32) -> R {
@@ -189,6 +191,16 @@ impl<R: Real> Grid<R> {
                 .wrapping_add((at as u32).wrapping_mul(stride[1] as u32));
             strip.column[i] = if strip.t1[i] > strip.t0[i] { column } else { 0 };
         }
+        if let Some(pages) = &self.tables.pages {
+            for i in 0..LANES {
+                let at = wrapped[minor].wrapping_add(at_minor[i]);
+                let at = if at >= size { at - size } else { at };
+                let at = (if at < 0 { at.wrapping_add(size) } else { at }) as u32;
+                let along = (wrapped[major] + at_major[i]) as u32;
+                let [x, z] = if major == 0 { [along, at] } else { [at, along] };
+                strip.column[i] = if strip.t1[i] > strip.t0[i] { pages.index(x, z) as u32 } else { 0 };
+            }
+        }
         as_told
     }
 
@@ -210,7 +222,7 @@ impl<R: Real> Grid<R> {
                     strip.at[k][i] = cell[axis] - strip.first[axis];
                 }
                 let [x, z] = [0, 1].map(|axis| self.wrap(axis, cell[axis]) as u32);
-                strip.column[i] = z * self.size[0] as u32 + x;
+                strip.column[i] = self.tables.index(x, z) as u32;
                 n += 1;
                 *t0 = t1;
             }
@@ -316,6 +328,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
             size: [0; 2],
             repeats: setup.repeats,
             level: 0,
+            tables: &self.walk.resident.levels[0],
             major: usize::from(plane.dir[1].abs() > plane.dir[0].abs()),
             slices: std::hint::black_box(std::array::from_fn(|s| s as i32)),
         };
@@ -327,11 +340,10 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
         while l < setup.levels {
             let level = &self.walk.resident.levels[l as usize];
             let Table::Heights(heights) = &level.table else { unreachable!("ground has heights") };
-            grid.level = l;
+            (grid.level, grid.tables) = (l, level);
             grid.size = [level.nx as i32, level.nz as i32];
             let (bottom, top) = self.walk.heights_from(l);
             let limit = t_end.min(self.walk.next_level(l));
-            let block_row = (level.nx as usize).div_ceil(SLICES);
             loop {
                 let (lo, hi) = (self.walk.lo, self.walk.hi);
                 let (s_lo, s_hi) = (self.walk.s_lo, self.walk.s_hi);
@@ -369,8 +381,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
                     if whole && self.gap_is_shut(t0) {
                         let block = |at: i32| {
                             let (x, z) = if major == 0 { (wrapped[0], at) } else { (at, wrapped[1]) };
-                            let block = (z as usize >> BLOCK_SHIFT) * block_row + (x as usize >> BLOCK_SHIFT);
-                            Run(level.blocks[block]).end()
+                            Run(level.blocks[level.block(x as u32, z as u32)]).end()
                         };
                         let height = block(wrapped[minor]).max(block(end_wrapped));
                         if self.walk.height(height << l) <= self.walk.lowest(t0, t_stop) {
@@ -385,7 +396,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
                     }
                     if told {
                         // The next strip's heights, if the plane goes on so.
-                        let stride = [1, grid.size[0] as isize];
+                        let stride = [1, level.row() as isize];
                         let on = [stop - cell[major], end - cell[minor]].map(|cells| cells as isize);
                         let next = on[0] * stride[major] + on[1] * stride[minor];
                         for &column in &strip.column[..SLICES] {
@@ -482,7 +493,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
         let mut from = lo;
         while shows != 0 {
             let i = lane(shows.trailing_zeros() as usize);
-            prefetch(&level.column_colors, strip.column[i] as usize);
+            prefetch(&level.column_colors, level.stride() * strip.column[i] as usize);
             self.item(strip, &shape, i, [from, shape.front[i], shape.end[i]]);
             from = shape.end[i];
             shows &= shows - 1;
@@ -593,6 +604,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
             let (start, hidden) = match &level.paint {
                 Paint::Voxel { .. } => {
                     let column = item.column as usize;
+                    let column = level.stride() * column;
                     let (start, end) = (level.column_colors[column], level.column_colors[column + 1]);
                     (start, item.height - (end - start))
                 }

@@ -38,6 +38,7 @@ pub fn make(size: u32) -> Result<Rows> {
         notes: Vec::new(),
         about: About::default(),
         input_bytes: 0,
+        water: None,
     })
 }
 

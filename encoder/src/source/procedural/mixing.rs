@@ -77,5 +77,6 @@ pub fn make(size: u32, seed: u64) -> Rows {
         notes: Vec::new(),
         about: About::default(),
         input_bytes: 0,
+        water: None,
     }
 }

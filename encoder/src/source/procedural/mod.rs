@@ -9,9 +9,11 @@
 //! | `shapes` | coloured solids, arches and lattices on a floor | no | side of the cube |
 //! | `scan` | tree in a pot as a scanner sees it: thin noisy sheets | no | side of the cube |
 //! | `serpent` | coiled, scaly, hollow closed surface | no | side of the cube |
+//! | `cloud` | a cumulus of five octaves: translucent matter alone | no | side of the cube |
 //! | `city` | houses with rooms, floors and windows | sides of whole blocks | columns a side; a quarter as high |
 
 mod city;
+mod cloud;
 mod landscape;
 mod menger;
 mod mixing;
@@ -23,7 +25,7 @@ mod shapes;
 use clap::ValueEnum;
 
 use crate::model::pieces::{self, InMemory, Pieces};
-use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run};
+use crate::{ColumnsBuilder, Error, Input, Result, Rgb, Run, producer};
 
 /// Kinds of procedural scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -37,6 +39,7 @@ pub enum Kind {
     Scan,
     Serpent,
     City,
+    Cloud,
 }
 
 impl Kind {
@@ -46,6 +49,7 @@ impl Kind {
             Kind::Terrain | Kind::Rocks | Kind::Hills | Kind::City => 1024,
             Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent => 512,
             Kind::Menger => 243,
+            Kind::Cloud => 256,
         }
     }
 }
@@ -54,10 +58,13 @@ impl Kind {
 pub const MAX_SIZE: u32 = 8192;
 
 const USAGE: &str = "procedural:KIND[?size=N&seed=S], KIND one of terrain, rocks, hills, mixing, menger (level=L), shapes, scan, \
-     serpent, city";
+     serpent, city, cloud; without end procedural:KIND?size=inf[&seed=S][&window=X,Z,W,D]";
 
-/// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`.
+/// The scene that a name describes: `terrain?size=1024&seed=1`, `menger?level=5`, `hills?size=inf&window=0,0,512,512`.
 pub fn from_name(name: &str) -> Result<Box<dyn Pieces>> {
+    if let Some(window) = producer::window(name)? {
+        return Ok(window);
+    }
     let fail = |what: String| Error::Argument(format!("procedural:{name}: {what}; expected {USAGE}"));
     let (kind, query) = name.split_once('?').unwrap_or((name, ""));
     let kind = Kind::from_str(kind, true).map_err(|_| fail(format!("there is no scene {kind:?}")))?;
@@ -87,7 +94,7 @@ pub fn procedural_pieces(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pie
     let max = match kind {
         Kind::Terrain | Kind::Rocks | Kind::Hills | Kind::City => MAX_SIZE,
         // These fill cubes: time and memory grow with the volume.
-        Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent => 4096,
+        Kind::Mixing | Kind::Shapes | Kind::Scan | Kind::Serpent | Kind::Cloud => 4096,
         Kind::Menger => 3u32.pow(menger::MAX_LEVEL),
     };
     if !(1..=max).contains(&size) {
@@ -104,6 +111,7 @@ pub fn procedural_pieces(kind: Kind, size: u32, seed: u64) -> Result<Box<dyn Pie
         Kind::Scan => in_memory(scan::make(size, seed)),
         Kind::Serpent => in_memory(serpent::make(size, seed)),
         Kind::City => in_memory(city::make(size, seed)),
+        Kind::Cloud => Ok(Box::new(cloud::make(size, seed))),
     }
 }
 

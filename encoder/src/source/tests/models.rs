@@ -75,6 +75,40 @@ fn vox_frames_are_chosen_by_their_number_for_place_and_model_alike() {
     assert!(about("a.vox", &pack, "").left_out[0].contains("1 models after the first"));
 }
 
+#[test]
+fn vox_glass_is_a_surface_and_media_are_matter() {
+    let material = |id: u32, of: &[(&str, &str)]| chunk("MATL", &[words(&[id]), dict(of)].concat());
+    let bytes = vox_file(&[
+        model([3, 1, 2], &[[0, 0, 0, 1], [1, 0, 0, 2], [2, 0, 1, 3]]),
+        palette(),
+        material(1, &[("_type", "_diffuse"), ("_trans", "0.9")]),
+        material(2, &[("_type", "_glass"), ("_trans", "0.75")]),
+        material(3, &[("_type", "_media"), ("_media_type", "_emit"), ("_d", "0.125")]),
+    ]);
+    assert_eq!(cells(&read("g.vox", &bytes, "")), [([0, 0, 0], R)]);
+    let World::Pieces(pieces) = find(Path::new("g.vox"), &bytes, false, &opts("")).unwrap() else { panic!() };
+    let matter = pieces.matter(0..3, 0..1).unwrap().unwrap();
+    assert_eq!([matter.at(0, 0, 0), matter.at(1, 0, 0), matter.at(2, 0, 0), matter.at(2, 1, 0)], [0, 8, 0, 16]);
+    let classes = pieces.about().classes.unwrap();
+    use crate::model::matter::Mode;
+    let found: Vec<_> = classes.classes.iter().map(|c| (c.color, c.opacity, c.mode)).collect();
+    assert_eq!(found, [(G, 0.25, Mode::Surface), (B, 0.125, Mode::Emissive)]);
+}
+
+#[test]
+fn water_stands_at_its_height_in_the_unit_of_the_values() {
+    let map = png(image::GrayImage::from_raw(2, 1, vec![10, 40]).unwrap());
+    let world = |flags: &str| open_pieces(&file("m.png", &map).1, &opts(flags)).unwrap();
+    let lake = world("--height-scale 0.5 --water 30");
+    // Heights are 0.5 a unit: 6 and 21 voxels of ground, water up to 16.
+    let matter = lake.matter(0..2, 0..1).unwrap().unwrap();
+    let deep: Vec<u32> = (0..lake.dims()[1]).filter(|&y| matter.at(0, y, 0) > 0).collect();
+    assert_eq!(deep, (6..16).collect::<Vec<_>>());
+    assert!(matter.column(1).is_empty());
+    assert_eq!(world("--height-scale 0.5 --water 60").dims()[1], 31);
+    assert!(world("").about().classes.is_none());
+}
+
 // Ken Silverman's formats: x 5, y 5, z 9 with z down; solid but for a notch, a cavity and two voxels of air on top.
 
 const SIDES: [usize; 3] = [5, 5, 9];

@@ -710,3 +710,34 @@ fn a_volume_takes_the_colours_of_a_ramp() {
     assert!(!open_pieces(&path, &opts("none")).unwrap().colored());
     assert!(open_pieces(&path, &opts("nothing")).err().unwrap().to_string().contains("--ramp nothing"));
 }
+
+#[test]
+fn classes_are_steps_of_the_window_wherever_the_axes_point() {
+    for (flags, world) in [("", [0, 1, 2]), ("--up x", [2, 0, 1]), ("--up z", [0, 2, 1])] {
+        let bytes = bytes();
+        let file = file("v.raw", &bytes);
+        let more = format!("--dims 7,6,5 --classes 4 --window 100,200 {flags}");
+        let pieces = open_pieces(&file.1, &opts(&more)).unwrap();
+        let dims = pieces.dims();
+        let matter = pieces.matter(1..dims[0], 0..dims[2]).unwrap().unwrap();
+        let input = pieces.piece(0..dims[0], 0..dims[2]).unwrap();
+        assert!(input.columns.runs().is_empty(), "nothing is solid without --iso");
+        for i in 0..N[0] * N[1] * N[2] {
+            let p = [i % N[0], i / N[0] % N[1], i / N[0] / N[1]];
+            let mut at = world.map(|axis| p[axis] as u32);
+            if flags == "--up z" {
+                at[2] = dims[2] - 1 - at[2];
+            }
+            let class = match scattered(i) {
+                0..=100 => 0,
+                v => (u16::from(v) - 100) / 25 + 1,
+            };
+            if at[0] > 0 {
+                assert_eq!(matter.at(at[0] - 1, at[1], at[2]), 8 * class.min(4), "{flags} {p:?}");
+            }
+        }
+    }
+    let solid = open_pieces(&file("v.raw", &bytes()).1, &opts("--dims 7,6,5 --classes 4 --iso 150")).unwrap();
+    assert!(!solid.piece(0..7, 0..5).unwrap().columns.runs().is_empty());
+    assert_eq!(solid.about().classes.unwrap().window, Some([0.0, 199.0]));
+}

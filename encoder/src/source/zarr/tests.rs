@@ -246,3 +246,57 @@ fn groups_that_are_no_images_give_their_only_volume() {
     write(dir.path(), ".zattrs", &json!({"plate": {}}));
     assert!(refused(dir.path()).contains("a plate of wells"));
 }
+
+/// An image of two resolutions, in chunks smaller than it.
+fn pyramid(folder: &Path, sides: [usize; 2]) {
+    let datasets: Vec<Value> = (0..2).map(|i| json!({"path": i.to_string()})).collect();
+    let axes = ome_axes("zyx");
+    write(folder, ".zgroup", &json!({"zarr_format": 2}));
+    write(folder, ".zattrs", &json!({"multiscales": [{"version": "0.4", "datasets": datasets, "axes": axes}]}));
+    for (i, n) in sides.into_iter().enumerate() {
+        let folder = folder.join(i.to_string());
+        let chunk = 100;
+        let metadata = json!({"zarr_format": 2, "shape": [n, 3, n], "chunks": [chunk, 2, chunk], "dtype": "|u1", "compressor": null,
+            "fill_value": 0, "order": "C", "filters": null});
+        write(&folder, ".zarray", &metadata);
+        for (cz, cy, cx) in (0..n.div_ceil(chunk))
+            .flat_map(|z| (0..2).flat_map(move |y| (0..n.div_ceil(chunk)).map(move |x| (z, y, x))))
+        {
+            let at = |c: usize, k: usize, size: usize| c * size + k;
+            let values = (0..chunk * 2 * chunk).map(|k| {
+                let (z, y, x) = (at(cz, k / (2 * chunk), chunk), at(cy, k / chunk % 2, 2), at(cx, k % chunk, chunk));
+                ((x * 7 + y * 31 + z * 13) % 101) as u8
+            });
+            fs::write(folder.join(format!("{cz}.{cy}.{cx}")), values.collect::<Vec<u8>>()).unwrap();
+        }
+    }
+}
+
+#[test]
+fn tiles_of_an_image_are_those_of_the_array_read_whole() {
+    use crate::model::tiles::TileKey;
+    use crate::source::tiles;
+    let dir = tempfile::tempdir().unwrap();
+    pyramid(dir.path(), [301, 150]);
+    for flags in ["--iso 60 --spacing as-is", "--iso 60 --spacing as-is --up z"] {
+        let world = tiles::open(dir.path(), &opts(flags)).unwrap().unwrap();
+        let up_z = flags.contains("up z");
+        assert_eq!(world.dims(), if up_z { [301, 301, 3] } else { [301, 3, 301] });
+        for (level, side) in [(0u32, 301u32), (1, 150)] {
+            let whole = open_pieces(&dir.path().join(level.to_string()), &opts(flags)).unwrap();
+            let whole = crate::model::pieces::whole(&*whole).unwrap().columns;
+            let [nx, nz] = [0, 2].map(|i| world.dims()[i].div_ceil(1 << level));
+            for (x, z) in (0..nz.div_ceil(256)).flat_map(|z| (0..nx.div_ceil(256)).map(move |x| (x, z))) {
+                let tile = world.tile(TileKey { level, x, z }).unwrap().solid;
+                for (i, j) in (0..tile.nz()).flat_map(|j| (0..tile.nx()).map(move |i| (i, j))) {
+                    let (x, z) = (x * 256 + i, z * 256 + j);
+                    let expected = if x < side && z < whole.nz() { whole.column(x, z) } else { &[] };
+                    assert_eq!(tile.column(i, j), expected, "level {level}, ({x}, {z})");
+                }
+            }
+        }
+        let last = world.tile(TileKey { level: world.levels() - 1, x: 0, z: 0 }).unwrap();
+        assert_eq!((last.solid.nx(), last.solid.nz()), (1, 1));
+    }
+    assert!(tiles::open(dir.path(), &opts("--spacing as-is")).unwrap().is_none(), "what is solid is not said");
+}

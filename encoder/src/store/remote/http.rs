@@ -18,6 +18,9 @@ use crate::{Error, Result};
 /// Bytes that the first request asks for: enough to tell what a file is, and whether the server gives ranges at all.
 const HEAD: u64 = 64 << 10;
 
+/// What errors say of a file that is another by now.
+pub const CHANGED: &str = "has another file there by now; open it again";
+
 /// One file on a server.
 pub struct Http {
     client: Client,
@@ -26,6 +29,8 @@ pub struct Http {
     name: PathBuf,
     len: u64,
     state: String,
+    /// Its tag and time, as the server told them first.
+    told: [Option<String>; 2],
     /// Its first bytes, where the server gives ranges.
     head: Vec<u8>,
     /// Where it gives none: the whole file, once it was asked for.
@@ -53,13 +58,14 @@ impl Http {
             name: name.to_owned(),
             len: 0,
             state: String::new(),
+            told: Default::default(),
             head: Vec::new(),
             whole: None,
         };
-        let mut response = http.get(Some(0..HEAD))?;
+        let mut response = http.get(Some(0..HEAD), None)?;
         if response.status() == StatusCode::RANGE_NOT_SATISFIABLE {
             // An empty file has no first byte.
-            response = http.get(None)?;
+            response = http.get(None, None)?;
         }
         if matches!(response.status(), StatusCode::NOT_FOUND | StatusCode::GONE) {
             return Ok(None);
@@ -85,6 +91,7 @@ impl Http {
             return Err(http.refused(response.status()));
         }
         http.state = format!("{} {time:?} {tag:?}", http.len);
+        http.told = [tag, time];
         Ok(Some(http))
     }
 
@@ -104,8 +111,12 @@ impl Http {
         self.wrong(format!("refuses with {status}"))
     }
 
-    fn get(&self, range: Option<Range<u64>>) -> Result<Response> {
+    /// The answer, all of which must have come after `within`, where that is given.
+    fn get(&self, range: Option<Range<u64>>, within: Option<Duration>) -> Result<Response> {
         let mut request = self.client.get(self.address.clone());
+        if let Some(within) = within {
+            request = request.timeout(within);
+        }
         if let Some(range) = range {
             request = request.header(RANGE, format!("bytes={}-{}", range.start, range.end - 1));
         }
@@ -150,7 +161,7 @@ impl Http {
             let response = match response.take() {
                 Some(response) => response,
                 // A try before this one failed.
-                None => self.get(None)?,
+                None => self.get(None, None)?,
             };
             let mut file = scratch::file().map_err(here)?;
             self.save(response, &mut file)?;
@@ -173,6 +184,11 @@ impl Http {
 
     /// Appends the bytes of a range, all of them.
     pub fn read(&self, range: Range<u64>, buffer: &mut Vec<u8>) -> Result<()> {
+        self.read_within(range, None, buffer)
+    }
+
+    /// The same, `within` a time.
+    pub fn read_within(&self, range: Range<u64>, within: Option<Duration>, buffer: &mut Vec<u8>) -> Result<()> {
         let n = range.end - range.start;
         if range.end <= self.head.len() as u64 {
             buffer.extend_from_slice(&self.head[range.start as usize..range.end as usize]);
@@ -183,7 +199,22 @@ impl Http {
             buffer.resize(from + n as usize, 0);
             return self.with_whole(|file| scratch::read_at(file, &mut buffer[from..], range.start));
         }
-        let response = self.get(Some(range))?;
+        let response = self.get(Some(range.clone()), within)?;
+        let header = |name| response.headers().get(name).and_then(|v| v.to_str().ok());
+        let now = [header(ETAG), header(LAST_MODIFIED)];
+        let changed = self
+            .told
+            .iter()
+            .zip(now)
+            .any(|(then, now)| then.as_deref().zip(now).is_some_and(|(then, now)| then != now));
+        if response.status().is_success() && changed {
+            return Err(self.wrong(CHANGED.to_owned()));
+        }
+        let got = header(CONTENT_RANGE).unwrap_or_default().trim_start_matches("bytes ").to_owned();
+        let asked = format!("{}-{}/", range.start, range.end - 1);
+        if response.status() == StatusCode::PARTIAL_CONTENT && !got.starts_with(&asked) {
+            return Err(self.wrong(format!("sends bytes {got} where {asked}{} was asked for", self.len)));
+        }
         match response.status() {
             StatusCode::PARTIAL_CONTENT => buffer.extend(self.body(response, n)?),
             StatusCode::OK => return Err(self.wrong("gives ranges no longer; try again".to_owned())),
@@ -204,7 +235,7 @@ impl Http {
         if self.len == self.head.len() as u64 {
             return out.write_all(&self.head).map_err(|e| Error::io(std::env::temp_dir(), "write a file in", e));
         }
-        let response = self.get(None)?;
+        let response = self.get(None, None)?;
         if !response.status().is_success() {
             return Err(self.refused(response.status()));
         }
@@ -222,4 +253,185 @@ fn failed(name: &Path, action: &'static str, e: reqwest::Error) -> Error {
         cause = inner.source();
     }
     Error::io(name, action, std::io::Error::other(one_line(&text)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{BufRead, BufReader};
+    use std::net::{TcpListener, TcpStream};
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::model::tiles::{TileKey, TileSource};
+    use crate::source::procedural::{Kind, procedural};
+    use crate::source::tiles;
+    use crate::{BuildOptions, build};
+
+    /// Serves one file, as far away as a test says, and as badly.
+    #[derive(Default)]
+    struct Server {
+        file: Mutex<Vec<u8>>,
+        tag: AtomicUsize,
+        /// Milliseconds before each answer, and bytes a millisecond.
+        latency: AtomicU64,
+        rate: AtomicU64,
+        sent: AtomicU64,
+        requests: AtomicUsize,
+        /// Answers that are: lies, cut short, refused, of another range.
+        lies: AtomicUsize,
+        cuts: AtomicUsize,
+        refusals: AtomicUsize,
+        others: AtomicUsize,
+    }
+
+    fn take(n: &AtomicUsize) -> bool {
+        n.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| n.checked_sub(1)).is_ok()
+    }
+
+    impl Server {
+        fn start(file: Vec<u8>) -> (Arc<Server>, PathBuf) {
+            let server =
+                Arc::new(Server { file: Mutex::new(file), rate: AtomicU64::new(1 << 30), ..Server::default() });
+            let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+            let address = format!("http://{}/world.pcast", listener.local_addr().unwrap());
+            let own = Arc::clone(&server);
+            std::thread::spawn(move || {
+                for stream in listener.incoming() {
+                    let server = Arc::clone(&own);
+                    std::thread::spawn(move || while server.answer(stream.as_ref().unwrap()).is_some() {});
+                }
+            });
+            (server, address.into())
+        }
+
+        fn answer(&self, mut stream: &TcpStream) -> Option<()> {
+            let mut reader = BufReader::new(stream);
+            let mut range = None;
+            loop {
+                let mut line = String::new();
+                reader.read_line(&mut line).ok().filter(|&n| n > 0)?;
+                let Some((name, value)) = line.trim().split_once(": ") else {
+                    if line.trim().is_empty() {
+                        break;
+                    }
+                    continue;
+                };
+                if name.eq_ignore_ascii_case("range") {
+                    let (from, to) = value.strip_prefix("bytes=")?.split_once('-')?;
+                    range = Some([from.parse::<usize>().ok()?, to.parse::<usize>().ok()?]);
+                }
+            }
+            self.requests.fetch_add(1, Ordering::SeqCst);
+            std::thread::sleep(Duration::from_millis(self.latency.load(Ordering::SeqCst)));
+            let file = self.file.lock().unwrap().clone();
+            let [from, to] = range?;
+            let to = to.min(file.len() - 1);
+            let mut body = file[from..=to].to_vec();
+            let status = if take(&self.refusals) { "503 Busy" } else { "206 Partial Content" };
+            if take(&self.lies) {
+                let n = body.len();
+                body[n / 2] ^= 0x10;
+            }
+            let moved = usize::from(take(&self.others));
+            let tag = self.tag.load(Ordering::SeqCst);
+            let head = format!(
+                "HTTP/1.1 {status}\r\nContent-Length: {}\r\nContent-Range: bytes {}-{}/{}\r\nETag: \"{tag}\"\r\n\r\n",
+                body.len(),
+                from + moved,
+                to + moved,
+                file.len()
+            );
+            stream.write_all(head.as_bytes()).ok()?;
+            let cut = take(&self.cuts);
+            let end = if cut { body.len() / 2 } else { body.len() };
+            for part in body[..end].chunks(16 << 10) {
+                stream.write_all(part).ok()?;
+                self.sent.fetch_add(part.len() as u64, Ordering::SeqCst);
+                std::thread::sleep(Duration::from_micros(1000 * part.len() as u64 / self.rate.load(Ordering::SeqCst)));
+            }
+            (!cut).then_some(())
+        }
+    }
+
+    fn scene() -> Vec<u8> {
+        let scene = build(procedural(Kind::Rocks, 1100, 3).unwrap(), &BuildOptions::default()).unwrap();
+        let mut out = std::io::Cursor::new(Vec::new());
+        crate::format::write::write_scene_to(&scene, &mut out, Path::new("s.pcast")).unwrap();
+        out.into_inner()
+    }
+
+    fn open(url: &Path) -> Result<Arc<dyn TileSource>> {
+        tiles::open(url, &Default::default()).map(|found| found.expect("a scene gives tiles"))
+    }
+
+    #[test]
+    fn http_tiles_come_by_ranges_and_the_first_picture_takes_little() {
+        let (server, url) = Server::start(scene());
+        server.latency.store(50, Ordering::SeqCst);
+        // 100 Mbit/s.
+        server.rate.store(12_500, Ordering::SeqCst);
+        let from_file = crate::PcastFile::from_bytes("s.pcast", server.file.lock().unwrap().clone()).unwrap();
+        let world = open(&url).unwrap();
+        // Coarse levels, as a picture of the whole shows first.
+        for level in (3..world.levels()).rev() {
+            let n = world.dims()[0].div_ceil(256 << level);
+            for (x, z) in (0..n).flat_map(|z| (0..n).map(move |x| (x, z))) {
+                let key = TileKey { level, x, z };
+                assert!(world.tile(key).unwrap() == TileSource::tile(&from_file, key).unwrap());
+            }
+        }
+        let (sent, requests) = (server.sent.load(Ordering::SeqCst), server.requests.load(Ordering::SeqCst));
+        assert!(sent <= 1 << 20, "{sent} bytes for the first picture");
+        assert!(requests <= 4, "{requests} requests for the first picture");
+        let key = TileKey { level: 0, x: 1, z: 2 };
+        assert!(world.tile(key).unwrap() == TileSource::tile(&from_file, key).unwrap());
+    }
+
+    #[test]
+    fn http_servers_that_fail_are_asked_again_and_those_that_lie_are_named() {
+        let (server, url) = Server::start(scene());
+        let world = open(&url).unwrap();
+        let key = |x, z| TileKey { level: 0, x, z };
+        // Passing trouble is not seen.
+        server.refusals.store(1, Ordering::SeqCst);
+        server.cuts.store(1, Ordering::SeqCst);
+        world.tile(key(0, 0)).unwrap();
+        server.others.store(1, Ordering::SeqCst);
+        world.tile(key(0, 1)).unwrap();
+        // What stays is told with the tile's name; the next who asks has it.
+        server.refusals.store(3, Ordering::SeqCst);
+        let refused = world.tile(key(0, 2)).unwrap_err().to_string();
+        assert!(refused.contains("tile (0, 2) of level 0") && refused.contains("503"), "{refused}");
+        world.tile(key(0, 2)).unwrap();
+        server.lies.store(1, Ordering::SeqCst);
+        let lied: Vec<_> = (0..4).map(|x| world.tile(key(x, 3))).collect();
+        let lied: Vec<String> = lied.into_iter().filter_map(|tile| Some(tile.err()?.to_string())).collect();
+        assert!(lied.len() == 1 && lied[0].contains("of level 0") && lied[0].contains("checksum"), "{lied:?}");
+        assert!((0..4).all(|x| world.tile(key(x, 3)).is_ok()));
+        server.tag.store(1, Ordering::SeqCst);
+        let requests = server.requests.load(Ordering::SeqCst);
+        let changed = world.tile(key(0, 4)).unwrap_err().to_string();
+        assert!(changed.contains("tile (0, 4)") && changed.contains(CHANGED), "{changed}");
+        assert_eq!(
+            server.requests.load(Ordering::SeqCst),
+            requests + 1,
+            "what has changed is not asked for at once again"
+        );
+        server.tag.store(0, Ordering::SeqCst);
+        world.tile(key(0, 4)).unwrap();
+        server.file.lock().unwrap().truncate(5000);
+        assert!(open(&url).err().unwrap().to_string().contains("it was cut short or added to"));
+    }
+
+    #[test]
+    fn http_servers_that_never_answer_are_given_up() {
+        let (server, url) = Server::start(scene());
+        let address = url::Url::parse(&url.to_string_lossy()).unwrap();
+        let http = Http::open(address, &url).unwrap().unwrap();
+        server.latency.store(60_000, Ordering::SeqCst);
+        let mut bytes = Vec::new();
+        let slow = http.read_within(70_000..80_000, Some(Duration::from_millis(60)), &mut bytes).unwrap_err();
+        assert!(slow.to_string().contains("timed out") || slow.to_string().contains("cannot"), "{slow}");
+    }
 }

@@ -6,6 +6,7 @@ use std::io::{Read, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
+use std::time::Duration;
 
 use futures_util::TryStreamExt;
 use object_store::path::Path as Key;
@@ -17,6 +18,7 @@ use super::http::Http;
 use crate::encode::memory;
 use crate::model::pieces::{Pieces, keeping};
 use crate::source::{self, Format, ReadOptions};
+use crate::store::ranges::Ranges;
 use crate::store::scratch;
 use crate::{Error, PcastFile, Result};
 
@@ -148,6 +150,78 @@ impl Object {
             Place::Http(http) => http.fetch(out),
         }
     }
+}
+
+/// Times that a range is asked for, and how long is waited before the second; each time twice as long as before.
+const TRIES: u32 = 3;
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Bytes a second below which a server is as good as none, and the time that it has for an answer beside.
+const SLOWEST: u64 = 32 << 10;
+const PATIENCE: Duration = Duration::from_secs(8);
+
+/// An object whose ranges are read for a scene.
+pub(super) struct Far(pub Object);
+
+impl Ranges for Far {
+    fn name(&self) -> &Path {
+        &self.0.url
+    }
+
+    fn size(&self) -> u64 {
+        self.0.len
+    }
+
+    fn near(&self) -> bool {
+        self.0.url.to_string_lossy().starts_with("file:")
+    }
+
+    fn read(&self, range: Range<u64>) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let mut tried = 1;
+        loop {
+            let Place::Http(http) = &self.0.place else {
+                // Stores have their own patience.
+                self.0.read(range, &mut bytes)?;
+                return Ok(bytes);
+            };
+            let within = PATIENCE + Duration::from_secs((range.end - range.start) / SLOWEST);
+            bytes.clear();
+            match http.read_within(range.clone(), Some(within), &mut bytes) {
+                Ok(()) if bytes.len() as u64 == range.end - range.start => return Ok(bytes),
+                Err(e) if tried == TRIES || e.to_string().contains(super::http::CHANGED) => return Err(e),
+                _ if tried == TRIES => {
+                    let what = format!("{} bytes of {} came", bytes.len(), range.end - range.start);
+                    return Err(Error::format(&self.0.url, what));
+                }
+                _ => std::thread::sleep(PAUSE * 2u32.pow(tried - 1)),
+            }
+            tried += 1;
+        }
+    }
+}
+
+/// See [`super::ranges`].
+pub(super) fn ranges(url: &Path, is_scene: fn(&Path, &[u8]) -> bool) -> Result<Option<Box<dyn Ranges>>> {
+    if url.to_string_lossy().ends_with('/') {
+        return Ok(None);
+    }
+    let Some(object) = Object::open(url)? else { return Err(missing(url)) };
+    let mut head = Vec::new();
+    object.read(0..object.len.min(16), &mut head)?;
+    Ok(is_scene(&shown(url), &head).then(|| Box::new(Far(object)) as Box<dyn Ranges>))
+}
+
+/// The whole of an object, which has at most `most` bytes.
+pub(super) fn text(url: &Path, most: u64) -> Result<Vec<u8>> {
+    let Some(object) = Object::open(url)? else { return Err(missing(url)) };
+    if object.len > most {
+        let what = format!("{} bytes, at most {most} were expected", object.len);
+        return Err(Error::format(shown(url), what));
+    }
+    let mut bytes = Vec::new();
+    object.read(0..object.len, &mut bytes)?;
+    Ok(bytes)
 }
 
 fn fetch_object(url: &Path, store: &dyn ObjectStore, key: &Key, out: &mut File) -> Result<()> {

@@ -1,0 +1,126 @@
+//! What of a world is in memory while it is drawn: all of it, or the tiles that frames show.
+
+use std::path::Path as FilePath;
+use std::sync::Arc;
+
+use clap::{Args, ValueEnum};
+use planecast_encoder::encode::memory;
+use planecast_encoder::source::{ReadOptions, tiles};
+use planecast_encoder::{About, Scene, TileSource};
+
+use super::{Surface, positive, tell};
+use crate::render::device::{Device, Renderer};
+use crate::world::pager::Patience;
+use crate::world::preview::Preview;
+use crate::{Error, Result};
+
+/// Bytes that a scene takes in memory once it is ready to be drawn, for each byte of its lists.
+const READY: u64 = 3;
+
+/// Bytes of tiles on a GPU unless others are given.
+const USUAL_GPU: u64 = 1 << 30;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Residency {
+    Whole,
+    Paged,
+    Auto,
+}
+
+#[derive(Debug, Args)]
+pub struct ResidencyArgs {
+    /// Have the world in memory as a whole, or only tiles that frames show, read as they are wanted; auto: as a whole where it fits
+    #[arg(long, value_enum, value_name = "whole|paged|auto", default_value = "auto")]
+    residency: Residency,
+    /// Memory for the tiles of a world that is not whole, as in 512M or 4G [default: half of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = memory::parse)]
+    memory: Option<u64>,
+    /// The same on a GPU [default: 1G]
+    #[arg(long, value_name = "SIZE", value_parser = memory::parse)]
+    memory_gpu: Option<u64>,
+    /// Let each frame wait until its tiles are there, or draw after so many milliseconds and show coarser tiles meanwhile
+    #[arg(long, value_name = "wait|deadline:MS", value_parser = patience, default_value = "wait")]
+    stream: Patience,
+}
+
+fn patience(s: &str) -> Result<Patience, String> {
+    let deadline = |s: &str| if s == "0" { Ok(0.0) } else { positive(s) };
+    match s.split_once(':') {
+        None if s == "wait" => Ok(Patience::Wait),
+        Some(("deadline", ms)) => {
+            deadline(ms).map(Patience::Deadline).map_err(|_| "expected deadline:MS, as in deadline:4".into())
+        }
+        _ => Err("expected wait, or deadline:MS as in deadline:4".into()),
+    }
+}
+
+/// A world that is open.
+pub enum Held {
+    Whole { scene: Scene, surface: Surface },
+    Tiles(Tiles),
+}
+
+/// A world that comes in tiles.
+pub struct Tiles {
+    pub source: Arc<dyn TileSource>,
+    pub preview: Preview,
+    pub about: About,
+}
+
+/// What a scene file says of itself, where it is one.
+fn about_of(path: &FilePath) -> About {
+    planecast_encoder::PcastFile::open(path).map_or_else(|_| About::default(), |file| file.about().clone())
+}
+
+impl ResidencyArgs {
+    /// Opens a scene or an input.
+    pub fn open(&self, path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<Held> {
+        // Worlds that are never whole.
+        let sheets = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pworld"));
+        let endless = path.to_str().is_some_and(|name| name.starts_with("procedural:") && name.contains("size="));
+        if (sheets || endless || self.residency == Residency::Paged)
+            && let Some(source) = tiles::open(path, read)?
+        {
+            if self.residency == Residency::Whole {
+                let what = format!("{}: is drawn in tiles alone; leave out --residency whole", path.display());
+                return Err(Error::Argument(what));
+            }
+            return self.tiles(source, about_of(path));
+        }
+        let opened = planecast_encoder::cli::open(path, read)?;
+        let need = opened.file.scene_bytes_at_least().saturating_mul(READY);
+        let room = self.memory.or_else(memory::available).unwrap_or(u64::MAX);
+        let paged = match self.residency {
+            Residency::Whole => false,
+            Residency::Paged => true,
+            // A small world is drawn faster as a whole.
+            Residency::Auto => !skip_broken && need > room,
+        };
+        if !paged {
+            let surface = Surface::of(&opened);
+            return Ok(Held::Whole { scene: planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface });
+        }
+        if self.residency == Residency::Auto {
+            let [need, room] = [need, room].map(memory::display);
+            tell(&format!(
+                "the world takes some {need} of memory, {room} are allowed: tiles are read as frames show them"
+            ));
+        }
+        let about = opened.file.about().clone();
+        self.tiles(Arc::new(opened.file), about)
+    }
+
+    fn tiles(&self, source: Arc<dyn TileSource>, about: About) -> Result<Held> {
+        let preview = Preview::new(&*source)?;
+        Ok(Held::Tiles(Tiles { source, preview, about }))
+    }
+
+    /// Opens the device that draws tiles.
+    pub fn renderer(&self, tiles: &Tiles, device: Device) -> Result<Renderer> {
+        let half = || memory::available().map_or(1 << 30, |free| free / 2);
+        let host = self.memory.unwrap_or_else(half);
+        // The GPU's tiles are on the host too.
+        let budget = if device == Device::Cpu { host } else { host.min(self.memory_gpu.unwrap_or(USUAL_GPU)) };
+        Renderer::of_tiles(Arc::clone(&tiles.source), device, budget, self.stream, &mut tell)
+    }
+}

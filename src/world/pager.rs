@@ -1,0 +1,1259 @@
+//! A world of which only those tiles are in memory that a frame can show: which they are, where they stand in the tables,
+//! which of them have to go when others come, and what is shown of those that are not there yet.
+//!
+//! Each level has slots for as many tiles as its share of the budget holds, and [`Pages`] that say in which slot a tile stands.
+//! Before a frame is drawn, the tiles that its planes can touch are known from their setup alone ([`wanted`]); those that
+//! do not come in time are *stood in* for: their columns are made from the nearest coarser tile that is there, in place. So
+//! a walk finds all of its tiles, and knows nothing of this. (Crassin et al. 2009 §6 let rays say what they miss; planes say
+//! it before they are cast.)
+//!
+//! The *debt* of a frame is how many of its samples show a stand-in, each times how many levels that is coarser.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::Zeroable;
+use planecast_encoder::format::TILE;
+use planecast_encoder::model::tiles::tile_size;
+use planecast_encoder::{ColorMode, Run, TileKey, TileSource};
+use rayon::prelude::*;
+
+use crate::clock::Instant;
+use crate::frame::plane_setup::Setup;
+use crate::world::fetch::Fetcher;
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, Table, is_height_field};
+use crate::{Error, Result};
+
+/// Columns of a tile.
+const COLUMNS: usize = (TILE * TILE) as usize;
+
+/// Blocks of a tile.
+const BLOCKS: usize = COLUMNS >> (2 * BLOCK_SHIFT);
+
+/// Columns around what planes pass that refinement and normals may look at.
+const MARGIN: f64 = 8.0;
+
+/// Tiles a side of the largest window: a view of more is drawn coarser.
+const WINDOW_SHIFT: u32 = 6;
+
+/// Levels of at most so many tiles are all there from the start, and stay: what can always stand in.
+const PINNED: u64 = 4;
+
+/// A tile that a frame wants, and how many of its planes pass it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wanted {
+    pub key: TileKey,
+    pub planes: u32,
+}
+
+/// How long a frame waits for its tiles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Patience {
+    /// Until all are there, or cannot be had.
+    Wait,
+    /// So many milliseconds.
+    Deadline(f64),
+}
+
+/// What stands in a slot.
+#[derive(Clone, Debug)]
+struct Slot {
+    key: TileKey,
+    /// Levels that it is coarser than it should be; 0: the tile itself.
+    missing: u32,
+    /// Last frame that wanted it.
+    used: u64,
+    runs: Range<u32>,
+    exposed: Range<u32>,
+    colors: Range<u32>,
+}
+
+/// Parts of a table that grows: which are free.
+#[derive(Clone, Debug, Default)]
+struct Parts {
+    free: BTreeMap<u32, u32>,
+    end: u32,
+}
+
+impl Parts {
+    fn take(&mut self, n: u32) -> Option<Range<u32>> {
+        if n == 0 {
+            return Some(0..0);
+        }
+        let found = self.free.iter().find(|&(_, &len)| len >= n).map(|(&at, &len)| (at, len));
+        if let Some((at, len)) = found {
+            self.free.remove(&at);
+            if len > n {
+                self.free.insert(at + n, len - n);
+            }
+            return Some(at..at + n);
+        }
+        let at = self.end;
+        self.end = at.checked_add(n)?;
+        Some(at..self.end)
+    }
+
+    fn give(&mut self, part: Range<u32>) {
+        if part.is_empty() {
+            return;
+        }
+        let (mut at, mut len) = (part.start, part.end - part.start);
+        if let Some((&before, &n)) = self.free.range(..at).next_back()
+            && before + n == at
+        {
+            self.free.remove(&before);
+            (at, len) = (before, len + n);
+        }
+        if let Some(n) = self.free.remove(&(at + len)) {
+            len += n;
+        }
+        if at + len == self.end {
+            self.end = at;
+        } else {
+            self.free.insert(at, len);
+        }
+    }
+}
+
+/// The slots of one level.
+#[derive(Clone, Debug)]
+struct Slots {
+    slots: Vec<Option<Slot>>,
+    /// Those that hold nothing, but for slot 0.
+    free: Vec<u32>,
+    runs: Parts,
+    exposed: Parts,
+    colors: Parts,
+    pinned: bool,
+}
+
+/// A change of a level's tables, for whoever keeps a copy.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// All of the world's tables are others.
+    All,
+    /// A slot's columns, and parts of the other tables.
+    Slot { level: u32, slot: u32, runs: Range<u32>, exposed: Range<u32>, colors: Range<u32> },
+    /// The level's pages.
+    Pages { level: u32 },
+}
+
+/// What a frame had to do for its tiles.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Paging {
+    /// Tiles that the frame's planes can touch.
+    pub wanted: u32,
+    /// Those that came for it, and those that went.
+    pub arrived: u32,
+    pub evicted: u32,
+    /// Those that are stood in for.
+    pub missing: u32,
+    /// Bytes read for those that came, as far as that is known.
+    pub bytes_read: u64,
+    pub bytes_resident: u64,
+    /// Milliseconds for reading, checking and unpacking while the frame waited, and for putting into the tables.
+    pub unpack_ms: f64,
+    pub install_ms: f64,
+}
+
+/// Why a tile is not there, and when it is asked for again.
+struct Fault {
+    text: String,
+    tries: u32,
+    again_ms: f64,
+}
+
+/// Which tiles of a world are there.
+pub struct Pager {
+    source: Arc<dyn TileSource>,
+    fetcher: Fetcher,
+    levels: Vec<Slots>,
+    budget: u64,
+    heights: bool,
+    frame: u64,
+    changes: Vec<Change>,
+    /// Slots that each level has had use for.
+    shares: Vec<u64>,
+    faults: HashMap<TileKey, Fault>,
+    told: HashSet<TileKey>,
+    notices: Vec<String>,
+    clock: Box<dyn Fn() -> f64 + Send + Sync>,
+}
+
+/// The tiles that planes can touch, those that most of them pass first; `None` where more than a window holds.
+pub fn wanted(setup: &Setup, dims: [u32; 3]) -> Option<Vec<Wanted>> {
+    let side = 1usize << WINDOW_SHIFT;
+    let mut found = Vec::new();
+    for l in 0..setup.levels {
+        let mut counts = vec![0u32; side * side];
+        let scale = f64::from(TILE) * f64::from(1u32 << l);
+        let margin = MARGIN / f64::from(TILE);
+        let eye = [0, 1].map(|k| (f64::from(setup.eye_cell[2 * k]) + setup.eye_fract[2 * k]) / scale);
+        let tiles = [dims[0], dims[2]].map(|n| f64::from(n.div_ceil(1 << l).div_ceil(TILE)) - 1.0);
+        // Bounds of all that is passed, so that nothing is mistaken for what stands a whole window away.
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        let mut passes = Vec::new();
+        for plane in &setup.planes {
+            let begin = |l: u32| if l > plane.lod_first { plane.lod_t * f64::from(1u32 << l) } else { plane.t_start };
+            if l < plane.lod_first || plane.t_end <= plane.t_start {
+                continue;
+            }
+            let from = begin(l).max(plane.t_start);
+            let to = if l + 1 < setup.levels { begin(l + 1).min(plane.t_end) } else { plane.t_end };
+            if to < from {
+                continue;
+            }
+            let ends = [from, to].map(|t| [0, 1].map(|k| eye[k] + t * plane.dir[k] / scale));
+            for k in 0..2 {
+                low[k] = low[k].min(ends[0][k].min(ends[1][k]) - margin).max(0.0);
+                high[k] = high[k].max(ends[0][k].max(ends[1][k]) + margin).min(tiles[k] + 0.999);
+            }
+            passes.push(ends);
+        }
+        if passes.is_empty() || high[0] < low[0] || high[1] < low[1] {
+            continue;
+        }
+        let origin = low.map(f64::floor);
+        if (0..2).any(|k| high[k].floor() - origin[k] >= side as f64) {
+            return None;
+        }
+        for [a, b] in passes {
+            let major = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
+            let minor = 1 - major;
+            let (a, b) = if a[major] <= b[major] { (a, b) } else { (b, a) };
+            let slope = if b[major] > a[major] { (b[minor] - a[minor]) / (b[major] - a[major]) } else { 0.0 };
+            let first = (a[major] - margin).floor().max(0.0);
+            let last = (b[major] + margin).floor().min(tiles[major]);
+            let mut at = first;
+            while at <= last {
+                let here = |v: f64| a[minor] + (v.clamp(a[major], b[major]) - a[major]) * slope;
+                let (p, q) = (here(at - margin), here(at + 1.0 + margin));
+                let from = (p.min(q) - margin).floor().max(0.0);
+                let to = (p.max(q) + margin).floor().min(tiles[minor]);
+                let mut across = from;
+                while across <= to {
+                    let mut cell = [0.0; 2];
+                    (cell[major], cell[minor]) = (at - origin[major], across - origin[minor]);
+                    counts[cell[1] as usize * side + cell[0] as usize] += 1;
+                    across += 1.0;
+                }
+                at += 1.0;
+            }
+        }
+        let cells = counts.iter().enumerate().filter(|&(_, &planes)| planes > 0);
+        found.extend(cells.map(|(i, &planes)| {
+            let [x, z] = [origin[0] as u32 + (i % side) as u32, origin[1] as u32 + (i / side) as u32];
+            Wanted { key: TileKey { level: l, x, z }, planes }
+        }));
+    }
+    found.sort_by_key(|wanted| (std::cmp::Reverse(wanted.planes), wanted.key));
+    Some(found)
+}
+
+/// One tile, made ready for the tables.
+pub struct Tile {
+    pub tables: ResidentLevel,
+    pub bytes: u64,
+}
+
+impl Tile {
+    /// What a source gives; `None` where it is to be heights and is not.
+    pub(crate) fn read(source: &dyn TileSource, key: TileKey, heights: bool) -> Result<Option<Tile>> {
+        let level = source.tile(key)?;
+        if heights && !is_height_field(level.geometry(source.encoding())) {
+            return Ok(None);
+        }
+        let tables = ResidentLevel::new(&level, source.encoding(), source.color(), heights)?;
+        Ok(Some(Tile { tables, bytes: source.bytes(key) }))
+    }
+}
+
+/// Bytes that a slot takes in the tables whose columns it has.
+fn slot_bytes(heights: bool, color: ColorMode) -> u64 {
+    let column = if heights { 2 } else { 8 };
+    let paint = match color {
+        ColorMode::None => 0,
+        ColorMode::Run => 4,
+        ColorMode::Voxel if heights => 16,
+        ColorMode::Voxel => 8,
+    };
+    (COLUMNS * (column + paint) + 4 * BLOCKS) as u64
+}
+
+impl Pager {
+    /// For the tiles of a source, in at most `budget` bytes; and the tables, with the coarsest levels there.
+    ///
+    /// # Errors
+    /// Those of the coarsest tiles; [`Error::Limit`] where the budget does not hold as much as a tile a level.
+    pub fn new(source: Arc<dyn TileSource>, budget: u64) -> Result<(Pager, Resident)> {
+        let heights = source.is_height_field();
+        let fetcher = Fetcher::new(Arc::clone(&source));
+        let since = Instant::now();
+        let clock = Box::new(move || since.elapsed().as_secs_f64() * 1e3);
+        let mut pager = Pager {
+            source,
+            fetcher,
+            levels: Vec::new(),
+            budget,
+            heights,
+            frame: 0,
+            changes: Vec::new(),
+            shares: Vec::new(),
+            faults: HashMap::new(),
+            told: HashSet::new(),
+            notices: Vec::new(),
+            clock,
+        };
+        let resident = pager.restart()?;
+        Ok((pager, resident))
+    }
+
+    fn slot_bytes(&self) -> u64 {
+        slot_bytes(self.heights, self.source.color())
+    }
+
+    /// Empty tables, but for the coarsest levels.
+    fn restart(&mut self) -> Result<Resident> {
+        let dims = self.source.dims();
+        let n_levels = self.source.levels();
+        let tiles = |l: u32| -> u64 {
+            let [x, z] = [dims[0], dims[2]].map(|n| u64::from(n.div_ceil(1 << l).div_ceil(TILE)));
+            x * z
+        };
+        let pinned = |l: u32| tiles(l) <= PINNED;
+        self.shares.resize(n_levels as usize, 1);
+        for (l, share) in (0..n_levels).zip(&mut self.shares) {
+            let least = if pinned(l) { tiles(l) } else { 4 };
+            *share = (*share).max(least).min(tiles(l));
+        }
+        let need = self.shares.iter().sum::<u64>() * self.slot_bytes();
+        if need > self.budget {
+            return Err(Error::Limit(format!(
+                "{}: {n_levels} levels take at least {} KiB of memory, {} KiB are allowed",
+                self.source.name(),
+                need >> 10,
+                self.budget >> 10
+            )));
+        }
+        self.levels.clear();
+        let mut levels = Vec::new();
+        for l in 0..n_levels {
+            let n = self.shares[l as usize] as usize + 1;
+            let [nx, nz] = [dims[0], dims[2]].map(|n| n.div_ceil(1 << l));
+            let most = nx.max(nz).div_ceil(TILE).next_power_of_two().ilog2();
+            let shift = most.min(WINDOW_SHIFT);
+            let table = if self.heights {
+                Table::Heights(bytemuck::zeroed_vec(n * COLUMNS))
+            } else {
+                let mut columns: Vec<[u32; 2]> = bytemuck::zeroed_vec(n * COLUMNS);
+                columns[..COLUMNS].fill([EMPTY, 0]);
+                Table::Runs { columns, runs: vec![0] }
+            };
+            let mut blocks: Vec<u32> = bytemuck::zeroed_vec(n * BLOCKS);
+            blocks[..BLOCKS].fill(EMPTY);
+            let paint = match (self.source.color(), self.heights) {
+                (ColorMode::None, _) => Paint::None,
+                (ColorMode::Run, true) => Paint::Column { colors: bytemuck::zeroed_vec(n * COLUMNS) },
+                (ColorMode::Run, false) => Paint::Run { base: bytemuck::zeroed_vec(n * COLUMNS), colors: Vec::new() },
+                (ColorMode::Voxel, _) => {
+                    let base = bytemuck::zeroed_vec(2 * n * COLUMNS);
+                    Paint::Voxel { stride: 2, base, exposed: Vec::new(), colors: Vec::new() }
+                }
+            };
+            let own_colors = self.heights && self.source.color() == ColorMode::Voxel;
+            let column_colors = if own_colors { bytemuck::zeroed_vec(2 * n * COLUMNS) } else { Vec::new() };
+            let [bottom, top] = self.source.heights(l);
+            let pages = Some(Pages { shift, slots: vec![0; 1 << (2 * shift)] });
+            levels.push(ResidentLevel { nx, nz, table, blocks, bottom, top, paint, column_colors, pages });
+            self.levels.push(Slots {
+                slots: vec![None; n],
+                free: (1..n as u32).rev().collect(),
+                runs: Parts { end: 1, ..Parts::default() },
+                exposed: Parts::default(),
+                colors: Parts::default(),
+                pinned: pinned(l),
+            });
+        }
+        self.changes = vec![Change::All];
+        let (encoding, color) = (self.source.encoding(), self.source.color());
+        let (heights, fractions) = (self.heights, Vec::new());
+        let mut resident = Resident { dims, encoding, color, levels, heights, fractions, matter: None };
+        let pinned: Vec<TileKey> = (0..n_levels)
+            .rev()
+            .filter(|&l| self.levels[l as usize].pinned)
+            .flat_map(|level| {
+                let [tx, tz] = [dims[0], dims[2]].map(|n| n.div_ceil(1 << level).div_ceil(TILE));
+                (0..tz).flat_map(move |z| (0..tx).map(move |x| TileKey { level, x, z }))
+            })
+            .collect();
+        let read: Vec<Result<Option<Tile>>> = pinned.par_iter().map(|&key| self.read(key)).collect();
+        for (key, tile) in pinned.into_iter().zip(read) {
+            match tile? {
+                Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables)?,
+                None => {
+                    self.heights = false;
+                    return self.restart();
+                }
+            }
+        }
+        Ok(resident)
+    }
+
+    fn read(&self, key: TileKey) -> Result<Option<Tile>> {
+        Tile::read(&*self.source, key, self.heights)
+    }
+
+    /// What gives the tiles.
+    pub fn source(&self) -> &Arc<dyn TileSource> {
+        &self.source
+    }
+
+    /// What has changed in the tables since this was asked last.
+    pub fn take_changes(&mut self) -> Vec<Change> {
+        std::mem::take(&mut self.changes)
+    }
+
+    /// What is to be said of tiles that could not be had, each once.
+    pub fn take_notices(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notices)
+    }
+
+    /// Takes time from elsewhere, in milliseconds: for tests.
+    pub fn set_clock(&mut self, clock: Box<dyn Fn() -> f64 + Send + Sync>) {
+        self.clock = clock;
+    }
+
+    fn slot_of(&self, resident: &Resident, key: TileKey) -> Option<u32> {
+        let pages = resident.levels[key.level as usize].pages.as_ref().expect("a paged level has pages");
+        let slot = pages.slots[pages.place(key.x, key.z)];
+        let held = self.levels[key.level as usize].slots[slot as usize].as_ref()?;
+        (held.key == key).then_some(slot)
+    }
+
+    /// By how many levels what stands for a tile is coarser; `None` where nothing does, and it is shown empty.
+    pub fn missing(&self, resident: &Resident, key: TileKey) -> Option<u32> {
+        if self.source.is_empty(key) {
+            return Some(0);
+        }
+        let slot = self.slot_of(resident, key)?;
+        self.levels[key.level as usize].slots[slot as usize].as_ref().map(|slot| slot.missing)
+    }
+
+    /// Bytes that tiles take.
+    pub fn bytes(&self) -> u64 {
+        let level = |slots: &Slots| {
+            let of = |part: &Range<u32>, bytes: u64| bytes * u64::from(part.end - part.start);
+            let held = slots.slots.iter().flatten();
+            held.map(|slot| self.slot_bytes() + of(&slot.runs, 4) + of(&slot.exposed, 8) + of(&slot.colors, 4))
+                .sum::<u64>()
+        };
+        self.levels.iter().map(level).sum()
+    }
+
+    /// Brings the tiles that a frame wants, as far as its patience goes; what is not there then is stood in for. `None` where
+    /// the budget does not hold them all: the frame has to be drawn coarser.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where memory is out.
+    pub fn update(&mut self, resident: &mut Resident, setup: &Setup, patience: Patience) -> Result<Option<Paging>> {
+        let Some(wanted) = wanted(setup, resident.dims) else { return Ok(None) };
+        self.frame += 1;
+        let mut paging = Paging { wanted: wanted.len() as u32, ..Paging::default() };
+        let (empty, wanted): (Vec<_>, Vec<_>) = wanted.into_iter().partition(|w| self.source.is_empty(w.key));
+        for w in empty {
+            self.clear(resident, w.key);
+        }
+        let mut per_level = vec![0usize; self.levels.len()];
+        for w in &wanted {
+            per_level[w.key.level as usize] += 1;
+            if let Some(slot) = self.slot_of(resident, w.key) {
+                let held = self.levels[w.key.level as usize].slots[slot as usize].as_mut();
+                held.expect("slot_of has found it").used = self.frame;
+            }
+        }
+        if per_level.iter().zip(&self.levels).any(|(&n, level)| n >= level.slots.len()) {
+            // A half more, since the next frames want more or less.
+            let shares = per_level.iter().zip(&self.shares).map(|(&n, &share)| (n as u64 * 3 / 2).max(share.min(4)));
+            let shares: Vec<u64> = shares.collect();
+            let tight: u64 = per_level.iter().map(|&n| n as u64 + 1).sum();
+            let loose: u64 = shares.iter().sum();
+            let most = self.budget / self.slot_bytes();
+            let before = std::mem::take(&mut self.shares);
+            self.shares = match (loose <= most, tight <= most) {
+                (true, _) => shares,
+                (_, true) => per_level.iter().map(|&n| n as u64 + 1).collect(),
+                _ => before,
+            };
+            if tight > most {
+                return Ok(None);
+            }
+            self.fetcher.restart();
+            *resident = match self.restart() {
+                Err(Error::Limit(_)) => return Ok(None),
+                tables => tables?,
+            };
+            return self.update(resident, setup, patience);
+        }
+        let before = (self.clock)();
+        let mut absent: Vec<Wanted> = wanted.iter().copied().filter(|w| self.lacks(resident, w.key)).collect();
+        match patience {
+            Patience::Wait => {
+                // Some at a time: what was unpacked takes memory until it stands in the tables.
+                let mut tries = 0;
+                while !absent.is_empty() {
+                    let mut failed = Vec::new();
+                    for some in absent.chunks(4 * rayon::current_num_threads()) {
+                        let start = (self.clock)();
+                        let read: Vec<_> = some.par_iter().map(|w| self.read(w.key)).collect();
+                        paging.unpack_ms += (self.clock)() - start;
+                        for (w, tile) in some.iter().zip(read) {
+                            match tile {
+                                Ok(Some(tile)) => self.arrive(resident, w.key, &tile, &mut paging)?,
+                                Ok(None) => {
+                                    self.heights = false;
+                                    *resident = self.restart()?;
+                                    return self.update(resident, setup, patience);
+                                }
+                                Err(e) => failed.push((*w, e)),
+                            }
+                        }
+                    }
+                    tries += 1;
+                    for (w, e) in &failed {
+                        self.fault(w.key, e);
+                    }
+                    if tries == 3 {
+                        break;
+                    }
+                    absent = failed.into_iter().map(|(w, _)| w).collect();
+                }
+            }
+            Patience::Deadline(ms) => {
+                let end = before + ms;
+                self.request(resident, &absent);
+                loop {
+                    let left = end - (self.clock)();
+                    let waits = absent.iter().any(|w| self.lacks(resident, w.key) && !self.is_put_off(w.key));
+                    let Some((key, tile)) = self.fetcher.next(if waits { left.max(0.0) } else { 0.0 }) else { break };
+                    match tile {
+                        Ok(Some(tile)) => self.arrive(resident, key, &tile, &mut paging)?,
+                        Ok(None) => {
+                            self.heights = false;
+                            self.fetcher.restart();
+                            *resident = self.restart()?;
+                            return self.update(resident, setup, patience);
+                        }
+                        Err(e) => self.fault(key, &e),
+                    }
+                    if (self.clock)() >= end {
+                        break;
+                    }
+                }
+                paging.unpack_ms = (self.clock)() - before - paging.install_ms;
+            }
+        }
+        for w in &wanted {
+            if !self.lacks(resident, w.key) {
+                continue;
+            }
+            paging.missing += 1;
+            let start = (self.clock)();
+            self.stand_in(resident, w.key, &mut paging)?;
+            paging.install_ms += (self.clock)() - start;
+        }
+        paging.bytes_resident = self.bytes();
+        if paging.bytes_resident > self.budget {
+            self.shrink(resident, &mut paging);
+            paging.bytes_resident = self.bytes();
+            if paging.bytes_resident > self.budget {
+                return Ok(None);
+            }
+        }
+        Ok(Some(paging))
+    }
+
+    /// Asks for tiles that a later frame will want, after those that one wants now.
+    pub fn prefetch(&mut self, resident: &Resident, setup: &Setup) {
+        let Some(wanted) = wanted(setup, resident.dims) else { return };
+        let absent = wanted.into_iter().filter(|w| !self.source.is_empty(w.key) && self.lacks(resident, w.key));
+        let absent: Vec<TileKey> = absent.map(|w| w.key).filter(|&key| !self.is_put_off(key)).collect();
+        self.fetcher.later(&absent, self.heights);
+    }
+
+    /// Shows nothing where an empty tile is.
+    fn clear(&mut self, resident: &mut Resident, key: TileKey) {
+        let pages = resident.levels[key.level as usize].pages.as_ref().expect("a paged level has pages");
+        let slot = pages.slots[pages.place(key.x, key.z)];
+        if slot != 0 {
+            self.evict(resident, key.level, slot);
+            self.levels[key.level as usize].free.push(slot);
+            self.changes.push(Change::Pages { level: key.level });
+        }
+    }
+
+    fn lacks(&self, resident: &Resident, key: TileKey) -> bool {
+        self.missing(resident, key) != Some(0)
+    }
+
+    /// Whether a tile failed lately.
+    fn is_put_off(&self, key: TileKey) -> bool {
+        self.faults.get(&key).is_some_and(|fault| fault.again_ms > (self.clock)())
+    }
+
+    fn fault(&mut self, key: TileKey, error: &Error) {
+        let now = (self.clock)();
+        let fault = self.faults.entry(key).or_insert(Fault { text: String::new(), tries: 0, again_ms: 0.0 });
+        fault.tries += 1;
+        // Each time twice as long, half a minute at most.
+        fault.again_ms = now + (250.0 * f64::from(1u32 << fault.tries.min(7))).min(30_000.0);
+        fault.text = error.to_string();
+        if self.told.insert(key) {
+            self.notices.push(format!("{}; it is shown from a coarser tile, and asked for again", fault.text));
+        }
+    }
+
+    /// Lets workers bring what is not there, and of what stands far below what it should be first a tile in between.
+    fn request(&mut self, resident: &Resident, absent: &[Wanted]) {
+        let mut asked: Vec<(u64, TileKey)> = Vec::new();
+        let mut seen = HashSet::new();
+        for w in absent {
+            let (mut key, mut up) = (w.key, 0);
+            let mut nearest = key;
+            while nearest.level + 1 < self.levels.len() as u32 && self.lacks(resident, nearest) {
+                nearest = nearest.parent();
+            }
+            let levels = nearest.level - key.level;
+            if !self.is_put_off(key) && seen.insert(key) {
+                asked.push((u64::from(w.planes) * u64::from(levels), key));
+            }
+            while up + 3 < levels {
+                (key, up) = (key.parent().parent(), up + 2);
+                if !self.is_put_off(key) && !self.source.is_empty(key) && self.lacks(resident, key) && seen.insert(key)
+                {
+                    asked.push(((u64::from(w.planes) * u64::from(levels)) << (2 * up).min(32), key));
+                }
+            }
+        }
+        asked.sort_unstable_by_key(|&(debt, key)| (std::cmp::Reverse(debt), key));
+        let asked: Vec<TileKey> = asked.into_iter().map(|(_, key)| key).collect();
+        self.fetcher.now(&asked, self.heights);
+    }
+
+    fn arrive(&mut self, resident: &mut Resident, key: TileKey, tile: &Tile, paging: &mut Paging) -> Result<()> {
+        self.faults.remove(&key);
+        let start = (self.clock)();
+        if self.install(resident, key, 0, &tile.tables)?.is_some_and(|evicted| {
+            paging.evicted += u32::from(evicted);
+            true
+        }) {
+            paging.arrived += 1;
+            paging.bytes_read += tile.bytes;
+        }
+        paging.install_ms += (self.clock)() - start;
+        Ok(())
+    }
+
+    /// Takes away what the last frames have not wanted, until the budget holds.
+    fn shrink(&mut self, resident: &mut Resident, paging: &mut Paging) {
+        let mut old: Vec<(u64, u32, u32)> = Vec::new();
+        for (l, level) in self.levels.iter().enumerate().filter(|(_, level)| !level.pinned) {
+            let idle = level.slots.iter().enumerate().filter_map(|(i, slot)| Some((i, slot.as_ref()?.used)));
+            old.extend(idle.filter(|&(_, used)| used < self.frame).map(|(i, used)| (used, l as u32, i as u32)));
+        }
+        old.sort_unstable();
+        for (_, level, slot) in old {
+            if self.bytes() <= self.budget {
+                break;
+            }
+            self.evict(resident, level, slot);
+            self.levels[level as usize].free.push(slot);
+            paging.evicted += 1;
+        }
+    }
+
+    fn evict(&mut self, resident: &mut Resident, level: u32, slot: u32) {
+        let slots = &mut self.levels[level as usize];
+        let Some(held) = slots.slots[slot as usize].take() else { return };
+        slots.runs.give(held.runs);
+        slots.exposed.give(held.exposed);
+        slots.colors.give(held.colors);
+        let pages = resident.levels[level as usize].pages.as_mut().expect("a paged level has pages");
+        let place = pages.place(held.key.x, held.key.z);
+        if pages.slots[place] == slot {
+            pages.slots[place] = 0;
+        }
+    }
+
+    /// Puts a tile into the tables; whether one had to go for it, or `None` where there is no room among those that are wanted.
+    fn install(
+        &mut self,
+        resident: &mut Resident,
+        key: TileKey,
+        missing: u32,
+        tile: &ResidentLevel,
+    ) -> Result<Option<bool>> {
+        let l = key.level as usize;
+        let own = self.slot_of(resident, key);
+        let used =
+            own.and_then(|slot| self.levels[l].slots[slot as usize].as_ref()).map_or(self.frame, |slot| slot.used);
+        let mut evicted = false;
+        // Whatever stands at its place in the window is a whole window away.
+        let pages = resident.levels[l].pages.as_ref().expect("a paged level has pages");
+        let there = pages.slots[pages.place(key.x, key.z)];
+        let slot = match (there, self.levels[l].free.pop()) {
+            (0, Some(slot)) => slot,
+            (0, None) => {
+                let oldest = self.levels[l].slots.iter().enumerate().skip(1);
+                let oldest = oldest.filter_map(|(i, slot)| Some((slot.as_ref()?.used, i as u32))).min();
+                let Some((used, slot)) = oldest.filter(|_| !self.levels[l].pinned) else { return Ok(None) };
+                if used >= self.frame {
+                    return Ok(None);
+                }
+                evicted = true;
+                slot
+            }
+            (there, free) => {
+                self.levels[l].free.extend(free);
+                evicted = own.is_none();
+                there
+            }
+        };
+        self.evict(resident, key.level, slot);
+        let slots = &mut self.levels[l];
+        let level = &mut resident.levels[l];
+        let out_of = |what: &str| Error::Limit(format!("a level with more than 2³² words of {what} at once"));
+        let at = slot as usize * COLUMNS;
+        let (nx, nz) = (tile.nx as usize, tile.nz as usize);
+        let row = |z: usize| at + z * TILE as usize;
+        let part = |at: &Range<u32>| at.start as usize..at.end as usize;
+        let mut held = Slot { key, missing, used, runs: 0..0, exposed: 0..0, colors: 0..0 };
+        match (&mut level.table, &tile.table) {
+            (Table::Heights(out), Table::Heights(heights)) => {
+                if (nx, nz) != (TILE as usize, TILE as usize) {
+                    out[at..at + COLUMNS].fill(0);
+                }
+                for z in 0..nz {
+                    out[row(z)..row(z) + nx].copy_from_slice(&heights[z * nx..(z + 1) * nx]);
+                }
+            }
+            (Table::Runs { columns: out, runs: all }, Table::Runs { columns, runs }) => {
+                // Word 0 of a tile is unused.
+                held.runs = slots.runs.take(runs.len() as u32 - 1).ok_or_else(|| out_of("runs"))?;
+                grow(all, slots.runs.end)?;
+                all[part(&held.runs)].copy_from_slice(&runs[1..]);
+                let shift = held.runs.start.wrapping_sub(1);
+                out[at..at + COLUMNS].fill([EMPTY, 0]);
+                for z in 0..nz {
+                    for (out, &[top, more]) in out[row(z)..].iter_mut().zip(&columns[z * nx..(z + 1) * nx]) {
+                        *out = [top, if more == 0 { 0 } else { more.wrapping_add(shift) }];
+                    }
+                }
+            }
+            _ => unreachable!("tiles are read as the world's tables are"),
+        }
+        let blocks = &mut level.blocks[slot as usize * BLOCKS..][..BLOCKS];
+        blocks.fill(EMPTY);
+        let (across, side) = (nx.div_ceil(1 << BLOCK_SHIFT), (TILE >> BLOCK_SHIFT) as usize);
+        for (out, row) in blocks.chunks_mut(side).zip(tile.blocks.chunks(across.max(1))) {
+            out[..row.len()].copy_from_slice(row);
+        }
+        match (&mut level.paint, &tile.paint) {
+            (Paint::None, _) => {}
+            (Paint::Column { colors: out }, Paint::Column { colors }) => {
+                for z in 0..nz {
+                    out[row(z)..row(z) + nx].copy_from_slice(&colors[z * nx..(z + 1) * nx]);
+                }
+            }
+            (Paint::Run { base: out, colors: all }, Paint::Run { base, colors }) => {
+                held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
+                grow(all, slots.colors.end)?;
+                all[part(&held.colors)].copy_from_slice(colors);
+                for z in 0..nz {
+                    for (out, &base) in out[row(z)..].iter_mut().zip(&base[z * nx..(z + 1) * nx]) {
+                        *out = base + held.colors.start;
+                    }
+                }
+            }
+            (Paint::Voxel { base: out, exposed: all, colors: every, .. }, paint) => {
+                let of_columns;
+                let (base, stride, exposed, colors) = match paint {
+                    Paint::Voxel { stride, base, exposed, colors } => (base, *stride, exposed, colors),
+                    Paint::Column { colors } => {
+                        of_columns = exposed_tops(tile);
+                        (&of_columns.0, 1, &of_columns.1, colors)
+                    }
+                    _ => unreachable!("tiles are read as the world's tables are"),
+                };
+                held.exposed = slots.exposed.take(exposed.len() as u32).ok_or_else(|| out_of("exposed runs"))?;
+                held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
+                grow(all, slots.exposed.end)?;
+                grow(every, slots.colors.end)?;
+                for (out, &[run, at]) in all[part(&held.exposed)].iter_mut().zip(exposed.iter()) {
+                    *out = [run, at + held.colors.start];
+                }
+                every[part(&held.colors)].copy_from_slice(colors);
+                out[2 * at..2 * (at + COLUMNS)].fill(held.exposed.start);
+                for z in 0..nz {
+                    for x in 0..nx {
+                        let (to, from) = (2 * (row(z) + x), stride * (z * nx + x));
+                        out[to] = base[from] + held.exposed.start;
+                        out[to + 1] = base[from + 1] + held.exposed.start;
+                    }
+                }
+                if !level.column_colors.is_empty() {
+                    let own = &tile.column_colors;
+                    for z in 0..nz {
+                        for x in 0..nx {
+                            let (to, ix) = (2 * (row(z) + x), z * nx + x);
+                            let [from, end] = match own.is_empty() {
+                                true => [ix as u32, ix as u32 + 1],
+                                false => [own[tile.stride() * ix], own[tile.stride() * ix + 1]],
+                            };
+                            level.column_colors[to] = from + held.colors.start;
+                            level.column_colors[to + 1] = end + held.colors.start;
+                        }
+                    }
+                }
+            }
+            _ => unreachable!("tiles are read as the world's tables are"),
+        }
+        let (runs, exposed, colors) = (held.runs.clone(), held.exposed.clone(), held.colors.clone());
+        slots.slots[slot as usize] = Some(held);
+        let pages = level.pages.as_mut().expect("a paged level has pages");
+        let place = pages.place(key.x, key.z);
+        pages.slots[place] = slot;
+        self.changes.push(Change::Slot { level: key.level, slot, runs, exposed, colors });
+        self.changes.push(Change::Pages { level: key.level });
+        Ok(Some(evicted))
+    }
+
+    /// Makes what is shown instead of a tile from the nearest coarser one that is there.
+    fn stand_in(&mut self, resident: &mut Resident, key: TileKey, paging: &mut Paging) -> Result<()> {
+        let (mut above, mut k) = (key.parent(), 1);
+        while above.level < self.levels.len() as u32 && self.lacks(resident, above) {
+            (above, k) = (above.parent(), k + 1);
+        }
+        if above.level >= self.levels.len() as u32 {
+            return Ok(());
+        }
+        // As good as what stands there already.
+        if self.missing(resident, key) == Some(k) {
+            return Ok(());
+        }
+        let tile = stand_in(resident, key, k)?;
+        if let Some(evicted) = self.install(resident, key, k, &tile)? {
+            paging.evicted += u32::from(evicted);
+        }
+        Ok(())
+    }
+}
+
+/// Exposed runs for columns of one colour each: their topmost voxel.
+fn exposed_tops(tile: &ResidentLevel) -> (Vec<u32>, Vec<[u32; 2]>) {
+    let n = tile.nx as usize * tile.nz as usize;
+    let exposed = (0..n).map(|ix| {
+        let [top, _] = tile.entry(ix);
+        let last = if top == EMPTY { 0 } else { Run(top).last() };
+        [Run::new(last, last).0, ix as u32]
+    });
+    ((0..=n as u32).collect(), exposed.collect())
+}
+
+/// The tables of a tile, from one that is `k` levels coarser.
+fn stand_in(resident: &Resident, key: TileKey, k: u32) -> Result<ResidentLevel> {
+    let level = &resident.levels[(key.level + k) as usize];
+    let [nx, nz] = tile_size(resident.dims, key);
+    let n = nx as usize * nz as usize;
+    let height = u32::from(u16::MAX) + 1;
+    // A run as fine as this tile's: a coarse level's world may be higher than a fine one's.
+    let finer = |run: Run| -> Option<Run> {
+        let first = u64::from(run.first()) << k;
+        let end = (u64::from(run.end()) << k).min(height.into());
+        (first < end).then(|| Run::new(first as u16, (end - 1) as u16))
+    };
+    let above = |ix: usize| -> usize {
+        let [x, z] = [ix as u32 % nx, ix as u32 / nx];
+        level.index((key.x * TILE + x) >> k, (key.z * TILE + z) >> k)
+    };
+    let table = match &level.table {
+        Table::Heights(heights) => {
+            let finer = |ix: usize| (u32::from(heights[above(ix)]) << k).min(u16::MAX.into()) as u16;
+            Table::Heights((0..n).map(finer).collect())
+        }
+        Table::Runs { .. } => {
+            let (mut columns, mut runs) = (Vec::with_capacity(n), vec![0u32]);
+            for ix in 0..n {
+                let mut of_column = level.column(above(ix)).filter_map(&finer);
+                let Some(top) = of_column.next() else {
+                    columns.push([EMPTY, 0]);
+                    continue;
+                };
+                let at = runs.len();
+                runs.push(0);
+                runs.extend(of_column.map(|run| run.0));
+                let rest = (runs.len() - at - 1) as u32;
+                if rest == 0 {
+                    runs.pop();
+                    columns.push([top.0, 0]);
+                } else {
+                    runs[at] = rest;
+                    columns.push([top.0, at as u32]);
+                }
+            }
+            Table::Runs { columns, runs }
+        }
+    };
+    let paint = match &level.paint {
+        Paint::None => Paint::None,
+        Paint::Column { colors } => Paint::Column { colors: (0..n).map(|ix| colors[above(ix)]).collect() },
+        Paint::Run { base, colors } => {
+            let (mut bases, mut all) = (Vec::with_capacity(n), Vec::new());
+            for ix in 0..n {
+                let above = above(ix);
+                bases.push(all.len() as u32);
+                // Runs that are cut off are the topmost.
+                let kept = level.column(above).zip(0usize..).filter(|&(run, _)| finer(run).is_some());
+                all.extend(kept.map(|(_, i)| colors[base[above] as usize + i]));
+            }
+            Paint::Run { base: bases, colors: all }
+        }
+        // One colour a column, of its top.
+        paint @ Paint::Voxel { .. } if matches!(table, Table::Heights(_)) => {
+            let color = |ix: usize| {
+                let above = above(ix);
+                let [top, _] = level.entry(above);
+                if top == EMPTY { 0 } else { paint.color(above, 0, Run(top).last().into()) }
+            };
+            Paint::Column { colors: (0..n).map(color).collect() }
+        }
+        Paint::Voxel { stride, base, exposed, colors } => {
+            // One colour for each exposed run: that of its highest voxel. A stand-in is seen for moments.
+            let (mut bases, mut runs, mut all) = (vec![0u32], Vec::new(), Vec::new());
+            for ix in 0..n {
+                let above = above(ix);
+                let own = &exposed[base[stride * above] as usize..base[stride * above + 1] as usize];
+                for &[run, at] in own {
+                    let voxels = u32::from(Run(run).last() - Run(run).first());
+                    let (first, last) = (u64::from(Run(run).first()) << k, u64::from(Run(run).last()) << k);
+                    if first >= height.into() {
+                        continue;
+                    }
+                    let last = last.min(u64::from(height) - 1);
+                    for y in [first, last].into_iter().take(1 + usize::from(voxels > 0)) {
+                        runs.push([Run::new(y as u16, y as u16).0, all.len() as u32]);
+                        all.push(colors[(at + if y == first { 0 } else { voxels }) as usize]);
+                    }
+                }
+                bases.push(runs.len() as u32);
+            }
+            Paint::Voxel { stride: 1, base: bases, exposed: runs, colors: all }
+        }
+    };
+    let mut tile = ResidentLevel {
+        nx,
+        nz,
+        table,
+        blocks: Vec::new(),
+        bottom: 0,
+        top: 0,
+        paint,
+        column_colors: Vec::new(),
+        pages: None,
+    };
+    tile.blocks = blocks_of(&tile);
+    Ok(tile)
+}
+
+/// Height bounds of a tile's blocks.
+fn blocks_of(tile: &ResidentLevel) -> Vec<u32> {
+    let [across, along] = [tile.nx, tile.nz].map(|n| n.div_ceil(1 << BLOCK_SHIFT) as usize);
+    let mut blocks = vec![EMPTY; across * along];
+    for z in 0..tile.nz {
+        for x in 0..tile.nx {
+            let ix = tile.index(x, z);
+            let [top, _] = tile.entry(ix);
+            if top == EMPTY {
+                continue;
+            }
+            let lowest = match &tile.table {
+                Table::Heights(_) => 0,
+                Table::Runs { .. } => tile.column(ix).last().map_or(0, |run| run.first()),
+            };
+            let block = &mut blocks[tile.block(x, z)];
+            let (first, last) = ((*block & 0xFFFF) as u16, (*block >> 16) as u16);
+            *block = u32::from(first.min(lowest)) | u32::from(last.max(Run(top).last())) << 16;
+        }
+    }
+    blocks
+}
+
+/// Makes a table as long as its parts are.
+fn grow<T: Zeroable + Clone>(table: &mut Vec<T>, n: u32) -> Result<()> {
+    let more = (n as usize).saturating_sub(table.len());
+    table
+        .try_reserve(more)
+        .map_err(|_| Error::Limit(format!("no memory for {} MiB of tiles more", (more * size_of::<T>()) >> 20)))?;
+    table.resize(table.len() + more, T::zeroed());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+    use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+    use glam::DVec3;
+    use planecast_encoder::{BuildOptions, Colors, Columns, Encoding, Input, Level, PcastFile, Scene, build};
+
+    use super::*;
+    use crate::cpu::renderer::{CpuRenderer, Outputs};
+    use crate::render::device::{Device, Renderer};
+    use crate::{Camera, Options};
+
+    fn noise(x: u32, y: u32, z: u32) -> u32 {
+        let mut v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
+        v = (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D);
+        v ^ (v >> 13)
+    }
+
+    /// Hills, or caves, of several tiles whose last ones are cut off.
+    fn scene(caves: bool, color: ColorMode, encoding: Encoding) -> Scene {
+        let hill = |x: u32, z: u32| {
+            let bump = |s: f32| ((x as f32 / s).sin() + (z as f32 / s).cos()) * s / 6.0;
+            (40.0 + bump(90.0) + bump(17.0)) as u32
+        };
+        let solid = move |x: u32, y: u32, z: u32| match caves {
+            false => y < hill(x, z),
+            true => (y < hill(x, z) && !(y / 5 + x / 9 + z / 7).is_multiple_of(4)) || y == 0,
+        };
+        let columns = Columns::from_fn(1300, 90, 1100, solid);
+        let of = |x, y: u32, z| noise(x / 40, y / 8, z / 40).to_le_bytes()[..3].try_into().unwrap();
+        let input = Input { columns, colors: Colors::Function(Box::new(of)), notes: Vec::new() };
+        build(input, &BuildOptions { encoding, color: Some(color), ..BuildOptions::default() }).unwrap()
+    }
+
+    /// Tiles of a scene in memory; some of them fail, and how many were asked for.
+    struct Mock {
+        file: PcastFile,
+        heights: bool,
+        asked: AtomicUsize,
+        fails: AtomicBool,
+        log: Mutex<Vec<TileKey>>,
+    }
+
+    impl Mock {
+        fn new(scene: &Scene, heights: bool) -> Arc<Mock> {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            let name = std::path::Path::new("mock.pcast");
+            planecast_encoder::format::write::write_scene_to(scene, &mut bytes, name).unwrap();
+            let file = PcastFile::from_bytes(name, bytes.into_inner()).unwrap();
+            let (asked, fails, log) = Default::default();
+            Arc::new(Mock { file, heights, asked, fails, log })
+        }
+    }
+
+    impl TileSource for Mock {
+        fn name(&self) -> String {
+            "mock".into()
+        }
+
+        fn dims(&self) -> [u32; 3] {
+            self.file.dims()
+        }
+
+        fn encoding(&self) -> Encoding {
+            TileSource::encoding(&self.file)
+        }
+
+        fn color(&self) -> ColorMode {
+            TileSource::color(&self.file)
+        }
+
+        fn heights(&self, level: u32) -> [u32; 2] {
+            self.file.heights(level)
+        }
+
+        fn is_height_field(&self) -> bool {
+            self.heights
+        }
+
+        fn is_empty(&self, key: TileKey) -> bool {
+            self.file.is_empty(key)
+        }
+
+        fn tile(&self, key: TileKey) -> planecast_encoder::Result<Level> {
+            self.asked.fetch_add(1, Ordering::Relaxed);
+            self.log.lock().unwrap().push(key);
+            if self.fails.load(Ordering::Relaxed) && key.level < 2 {
+                return Err(planecast_encoder::Error::Limit(format!("tile ({}, {}) is out", key.x, key.z)));
+            }
+            TileSource::tile(&self.file, key)
+        }
+    }
+
+    fn cameras() -> Vec<Camera> {
+        let pose = |eye: [f64; 3], yaw: f64, pitch: f64, roll: f64| Camera {
+            eye: DVec3::from_array(eye),
+            yaw,
+            pitch,
+            roll,
+            fov: 60.0,
+            width: 96,
+            height: 64,
+        };
+        vec![
+            pose([640.5, 70.0, 500.2], 30.0, -10.0, 0.0),
+            pose([100.0, 60.0, 90.0], 130.0, 0.0, 0.0),
+            pose([1200.0, 200.0, 1000.0], 300.0, -50.0, 20.0),
+            pose([650.0, 400.0, 550.0], 0.0, -90.0, 0.0),
+            pose([-300.0, 150.0, 1500.0], 50.0, -12.0, -35.0),
+            pose([640.5, 70.0, 500.2], 210.0, -10.0, 0.0),
+        ]
+    }
+
+    #[test]
+    fn paged_pictures_are_those_of_the_whole_world() {
+        let worlds = [
+            (false, ColorMode::Run, Encoding::Solid),
+            (false, ColorMode::Voxel, Encoding::Solid),
+            (true, ColorMode::Run, Encoding::Solid),
+            (true, ColorMode::Voxel, Encoding::Surface),
+        ];
+        for (caves, color, encoding) in worlds {
+            let scene = Arc::new(scene(caves, color, encoding));
+            let resident = Arc::new(Resident::new(&scene));
+            let mut whole = CpuRenderer::new(&scene, &resident);
+            // Told to be heights whether it is or not: caves show otherwise.
+            let source = Mock::new(&scene, true);
+            let slot = slot_bytes(!caves, color);
+            let mut evicted = 0;
+            // Not for all of level 0, then for all.
+            for (slots, lods) in
+                [(if caves { 60 } else { 40 }, &[Some(1.0), Some(3.0)][..]), (if caves { 400 } else { 80 }, &[None])]
+            {
+                let budget = slots * slot;
+                let mut paged =
+                    Renderer::of_tiles(source.clone(), Device::Cpu, budget, Patience::Wait, &mut |_| ()).unwrap();
+                paged.set_count(true);
+                for (i, camera) in cameras().iter().enumerate() {
+                    for &lod in lods {
+                        let options = Options { lod, ..Options::default() };
+                        let expected = whole.render(camera, &options, Outputs { voxel: true }).unwrap();
+                        let frame = paged.draw_with(camera, &options, Outputs { voxel: true }, &mut |_| ()).unwrap();
+                        let what = format!("caves {caves}, {color:?}, {encoding:?}, camera {i}, lod {lod:?}");
+                        assert!(frame.stats.paging.bytes_resident <= budget, "{what}");
+                        assert_eq!(frame.stats.paging.lod, lod.unwrap_or(0.0), "{what}");
+                        assert!(frame.voxel == expected.voxel, "{what}");
+                        assert!(frame.color == expected.color && frame.depth == expected.depth, "{what}");
+                        let paging = frame.stats.paging;
+                        assert_eq!((paging.debt, paging.tiles_missing), (0, 0), "{what}");
+                        assert!(paging.tiles_used <= paging.tiles_wanted, "{what}: {paging:?}");
+                        evicted += paging.tiles_evicted;
+                    }
+                }
+            }
+            assert!(evicted > 0 || caves);
+            assert!(source.asked.load(Ordering::Relaxed) > 20);
+        }
+    }
+
+    #[test]
+    fn tiles_that_cannot_be_had_are_stood_in_for_until_they_can() {
+        for (caves, color) in [(false, ColorMode::Voxel), (true, ColorMode::Voxel), (true, ColorMode::Run)] {
+            let scene = Arc::new(scene(caves, color, Encoding::Solid));
+            let resident = Arc::new(Resident::new(&scene));
+            let mut whole = CpuRenderer::new(&scene, &resident);
+            let source = Mock::new(&scene, !caves);
+            source.fails.store(true, Ordering::Relaxed);
+            let mut paged =
+                Renderer::of_tiles(source.clone(), Device::Cpu, 64 << 20, Patience::Wait, &mut |_| ()).unwrap();
+            let camera = cameras()[0];
+            let options = Options::default();
+            let mut said = Vec::new();
+            let coarse =
+                paged.draw_with(&camera, &options, Outputs::default(), &mut |w| said.push(w.to_owned())).unwrap();
+            let sharp = whole.render(&camera, &options, Outputs::default()).unwrap();
+            assert!(coarse.stats.paging.debt > 1000 && coarse.color != sharp.color);
+            assert!(said.iter().any(|what| what.contains("is out") && what.contains("coarser")), "{said:?}");
+            // As whole as the picture that it should be: no sky where there is ground, nor the other way round, but at edges.
+            let pixels = coarse.depth.iter().zip(&sharp.depth);
+            let off = pixels.filter(|(a, b)| a.is_finite() != b.is_finite()).count();
+            assert!(off < 96, "{off} pixels are sky in one and not in the other");
+            source.fails.store(false, Ordering::Relaxed);
+            let frame = paged.draw_with(&camera, &options, Outputs::default(), &mut |_| ()).unwrap();
+            assert!(frame.color == sharp.color && frame.stats.paging.debt == 0);
+        }
+    }
+
+    #[test]
+    fn frames_with_a_deadline_are_whole_and_become_sharp() {
+        let scene = Arc::new(scene(true, ColorMode::Voxel, Encoding::Solid));
+        let resident = Arc::new(Resident::new(&scene));
+        let mut whole = CpuRenderer::new(&scene, &resident);
+        let source = Mock::new(&scene, false);
+        let mut paged =
+            Renderer::of_tiles(source, Device::Cpu, 64 << 20, Patience::Deadline(0.0), &mut |_| ()).unwrap();
+        let options = Options::default();
+        let mut owed = 0;
+        for camera in cameras() {
+            let sharp = whole.render(&camera, &options, Outputs::default()).unwrap();
+            let mut frames = 0;
+            loop {
+                let frame = paged.draw_with(&camera, &options, Outputs::default(), &mut |_| ()).unwrap();
+                owed += frame.stats.paging.debt;
+                if frame.stats.paging.tiles_missing == 0 {
+                    assert!(frame.color == sharp.color);
+                    break;
+                }
+                frames += 1;
+                assert!(frames < 100_000, "the tiles never came");
+                std::thread::yield_now();
+            }
+        }
+        assert!(owed > 0);
+    }
+
+    #[test]
+    fn parts_are_given_and_taken_without_overlap() {
+        let mut parts = Parts::default();
+        let mut held: Vec<Range<u32>> = Vec::new();
+        for k in 0..5000 {
+            let random = noise(k, 3, 9);
+            if random % 5 < 3 {
+                let part = parts.take(random / 7 % 90).unwrap();
+                assert!(held.iter().all(|h| part.is_empty() || part.end <= h.start || part.start >= h.end), "{part:?}");
+                held.push(part);
+            } else if !held.is_empty() {
+                let i = random as usize / 5 % held.len();
+                parts.give(held.swap_remove(i));
+            }
+            let used: u32 = held.iter().map(|h| h.end - h.start).sum();
+            let free: u32 = parts.free.values().sum();
+            assert_eq!(used + free, parts.end);
+        }
+        held.drain(..).for_each(|h| parts.give(h));
+        assert_eq!((parts.end, parts.free.len()), (0, 0));
+    }
+
+    #[test]
+    fn budgets_that_hold_no_view_raise_the_level_of_detail() {
+        let scene = Arc::new(scene(true, ColorMode::None, Encoding::Solid));
+        let source = Mock::new(&scene, false);
+        // From so far above that all of it is drawn at level 0.
+        let eye = DVec3::new(650.0, 800.0, 550.0);
+        let camera = Camera { eye, pitch: -90.0, width: 1280, height: 960, ..cameras()[0] };
+        let slot = slot_bytes(false, ColorMode::None);
+        let draw = |slots: u64| {
+            let mut paged = Renderer::of_tiles(source.clone(), Device::Cpu, slots * slot, Patience::Wait, &mut |_| ())?;
+            paged.draw_with(&camera, &Options::default(), Outputs::default(), &mut |_| ())
+        };
+        let [fine, coarse] = [200, 25].map(|slots| draw(slots).unwrap().stats.paging);
+        assert_eq!((fine.lod, fine.debt), (1.0, 0));
+        assert!(coarse.lod > 1.0 && coarse.lod < 20.0 && coarse.debt == 0, "{coarse:?}");
+        for slots in [0, 3] {
+            let error = draw(slots).unwrap_err().to_string();
+            assert!(error.contains("mock") && error.contains("KiB"), "{error}");
+        }
+    }
+}
