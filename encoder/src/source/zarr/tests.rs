@@ -255,8 +255,8 @@ fn pyramid(folder: &Path, sides: [usize; 2]) {
     write(folder, ".zattrs", &json!({"multiscales": [{"version": "0.4", "datasets": datasets, "axes": axes}]}));
     for (i, n) in sides.into_iter().enumerate() {
         let folder = folder.join(i.to_string());
-        let chunk = 100;
-        let metadata = json!({"zarr_format": 2, "shape": [n, 3, n], "chunks": [chunk, 2, chunk], "dtype": "|u1", "compressor": null,
+        let (chunk, ny) = (100, [3, 2][i]);
+        let metadata = json!({"zarr_format": 2, "shape": [n, ny, n], "chunks": [chunk, 2, chunk], "dtype": "|u1", "compressor": null,
             "fill_value": 0, "order": "C", "filters": null});
         write(&folder, ".zarray", &metadata);
         for (cz, cy, cx) in (0..n.div_ceil(chunk))
