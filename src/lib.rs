@@ -133,6 +133,8 @@ pub mod measure;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod output;
 pub mod render;
+#[cfg(test)]
+mod testing;
 pub mod view;
 pub mod world;
 

@@ -1016,7 +1016,8 @@ impl RenderArgs {
                 let mut renderer = self.draw.residency.renderer(&tiles, self.draw.device)?;
                 renderer.set_count(self.stats.is_some());
                 frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
-                (dims, about) = (tiles.source.dims(), tiles.about);
+                // Scans, which say what they are of, are not made of tiles.
+                (dims, about) = (tiles.source.dims(), About::default());
             }
         }
 

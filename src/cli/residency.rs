@@ -6,7 +6,7 @@ use std::sync::Arc;
 use clap::{Args, ValueEnum};
 use planecast_encoder::encode::memory;
 use planecast_encoder::source::{ReadOptions, tiles};
-use planecast_encoder::{About, Scene, TileSource};
+use planecast_encoder::{Scene, TileSource};
 
 use super::{Surface, positive, tell};
 use crate::render::device::{Device, Renderer};
@@ -56,7 +56,7 @@ fn patience(s: &str) -> Result<Patience, String> {
 
 /// A world that is open.
 pub enum Held {
-    Whole { scene: Scene, surface: Surface },
+    Whole { scene: Scene, surface: Box<Surface> },
     Tiles(Tiles),
 }
 
@@ -64,28 +64,27 @@ pub enum Held {
 pub struct Tiles {
     pub source: Arc<dyn TileSource>,
     pub preview: Preview,
-    pub about: About,
 }
 
-/// What a scene file says of itself, where it is one.
-fn about_of(path: &FilePath) -> About {
-    planecast_encoder::PcastFile::open(path).map_or_else(|_| About::default(), |file| file.about().clone())
+fn tiles_of(source: Arc<dyn TileSource>) -> Result<Held> {
+    let preview = Preview::new(&*source)?;
+    Ok(Held::Tiles(Tiles { source, preview }))
 }
 
 impl ResidencyArgs {
     /// Opens a scene or an input.
     pub fn open(&self, path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<Held> {
-        // Worlds that are never whole.
+        // Some of these are never whole.
         let sheets = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pworld"));
-        let endless = path.to_str().is_some_and(|name| name.starts_with("procedural:") && name.contains("size="));
-        if (sheets || endless || self.residency == Residency::Paged)
+        let made = path.to_str().is_some_and(|name| name.starts_with("procedural:"));
+        if (sheets || made || self.residency == Residency::Paged)
             && let Some(source) = tiles::open(path, read)?
         {
             if self.residency == Residency::Whole {
                 let what = format!("{}: is drawn in tiles alone; leave out --residency whole", path.display());
                 return Err(Error::Argument(what));
             }
-            return self.tiles(source, about_of(path));
+            return tiles_of(source);
         }
         let opened = planecast_encoder::cli::open(path, read)?;
         let need = opened.file.scene_bytes_at_least().saturating_mul(READY);
@@ -97,7 +96,7 @@ impl ResidencyArgs {
             Residency::Auto => !skip_broken && need > room,
         };
         if !paged {
-            let surface = Surface::of(&opened);
+            let surface = Box::new(Surface::of(&opened));
             return Ok(Held::Whole { scene: planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface });
         }
         if self.residency == Residency::Auto {
@@ -106,13 +105,7 @@ impl ResidencyArgs {
                 "the world takes some {need} of memory, {room} are allowed: tiles are read as frames show them"
             ));
         }
-        let about = opened.file.about().clone();
-        self.tiles(Arc::new(opened.file), about)
-    }
-
-    fn tiles(&self, source: Arc<dyn TileSource>, about: About) -> Result<Held> {
-        let preview = Preview::new(&*source)?;
-        Ok(Held::Tiles(Tiles { source, preview, about }))
+        tiles_of(Arc::new(opened.file))
     }
 
     /// Opens the device that draws tiles.

@@ -283,6 +283,7 @@ pub fn size_at_1(options: &Options, pixel: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::frame::plane_setup::plane_setup;
+    use crate::testing::noise;
     use crate::{Camera, Features, Repeat};
     use glam::DVec3;
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, Scene, build};
@@ -290,12 +291,6 @@ mod tests {
     fn scene(dims: [u32; 3], solid: impl Fn(u32, u32, u32) -> bool + Sync) -> Scene {
         let columns = Columns::from_fn(dims[0], dims[1], dims[2], solid);
         build(Input { columns, colors: Colors::None, notes: Vec::new() }, &BuildOptions::default()).unwrap()
-    }
-
-    fn noise(x: u32, y: u32, z: u32) -> u32 {
-        let mut v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
-        v = (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D);
-        v ^ (v >> 13)
     }
 
     fn sun(azimuth: f64, elevation: f64) -> DVec3 {

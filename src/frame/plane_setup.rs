@@ -255,19 +255,24 @@ pub(crate) fn plane_setup_in(mut planes: Vec<Plane>, resident: &Resident, camera
 }
 
 impl Setup {
+    /// Between which distances the walk of `plane` is at level `l`; nowhere where the second is not beyond the first.
+    pub fn part(&self, plane: &Plane, l: u32) -> [f64; 2] {
+        let begin = |l: u32| if l > plane.lod_first { plane.lod_t * f64::from(1u32 << l) } else { plane.t_start };
+        let to = if l + 1 < self.levels { begin(l + 1).min(plane.t_end) } else { plane.t_end };
+        [begin(l).max(plane.t_start), to]
+    }
+
     /// At most so many columns the walk of `plane` looks at. Of level `l` it walks the part between the distances where that
     /// level begins and ends. A part of length `T` crosses at most `⌈T·|x| / 2ˡ⌉` grid planes along x and as many along z,
     /// and looks at one column more than it crosses; the ends can be cut in two by a change of level or a rounding. So a
     /// walk ends, however its numbers round.
     pub fn step_bound(&self, plane: &Plane) -> u64 {
-        let begin = |l: u32| if l > plane.lod_first { plane.lod_t * f64::from(1u32 << l) } else { plane.t_start };
-        let part = |l: u32| {
-            let from = begin(l).max(plane.t_start);
-            let to = if l + 1 < self.levels { begin(l + 1).min(plane.t_end) } else { plane.t_end };
+        let steps = |l: u32| {
+            let [from, to] = self.part(plane, l);
             let crossed = |d: f64| ((to - from) * d.abs() / f64::from(1u32 << l)).ceil() as u64;
             if to > from { crossed(plane.dir[0]) + crossed(plane.dir[1]) + 6 } else { 0 }
         };
-        (plane.lod_first..self.levels).map(part).sum()
+        (plane.lod_first..self.levels).map(steps).sum()
     }
 
     /// Whether fewer planes were asked for than reach every pixel, so that there are gaps to fill.

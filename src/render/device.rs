@@ -81,8 +81,13 @@ impl Renderer {
         tell: &mut dyn FnMut(&str),
     ) -> Result<Renderer> {
         let paged = Paged::new(source, device, budget, patience, tell)?;
-        Ok(Renderer {
-            backend: Backend::Paged(Box::new(paged)),
+        Ok(Renderer::of(Backend::Paged(Box::new(paged))))
+    }
+
+    /// Without anything that replaces what draws.
+    fn of(backend: Backend) -> Renderer {
+        Renderer {
+            backend,
             notices: Vec::new(),
             #[cfg(feature = "gpu")]
             fall_back: None,
@@ -90,7 +95,7 @@ impl Renderer {
             ahead: Ahead::new(),
             #[cfg(feature = "gpu")]
             beside: None,
-        })
+        }
     }
 
     /// What was decided without being asked for: which device was taken or given up, and why.
@@ -148,14 +153,9 @@ impl Renderer {
             }
         }
         Ok(Renderer {
-            backend,
-            notices: Vec::new(),
             #[cfg(feature = "gpu")]
             fall_back: (device == Device::Auto).then(|| Box::new(CpuRenderer::new(scene, resident))),
-            #[cfg(feature = "gpu")]
-            ahead: Ahead::new(),
-            #[cfg(feature = "gpu")]
-            beside: None,
+            ..Renderer::of(backend)
         })
     }
 
@@ -163,7 +163,7 @@ impl Renderer {
     #[cfg(feature = "gpu")]
     pub fn on_gpu(gpu: GpuRenderer) -> Renderer {
         let fall_back = Some(Box::new(gpu.cpu()));
-        Renderer { backend: Backend::Gpu(vec![gpu]), notices: Vec::new(), fall_back, ahead: Ahead::new(), beside: None }
+        Renderer { fall_back, ..Renderer::of(Backend::Gpu(vec![gpu])) }
     }
 
     /// Whether frames' figures say how many columns, runs and spans were visited, and how long each stage took. The CPU has them

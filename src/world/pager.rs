@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use planecast_encoder::format::TILE;
+use planecast_encoder::format::{Grid, TILE, grids};
 use planecast_encoder::model::tiles::tile_size;
 use planecast_encoder::{ColorMode, Run, TileKey, TileSource};
 use rayon::prelude::*;
@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use crate::clock::Instant;
 use crate::frame::plane_setup::Setup;
 use crate::world::fetch::Fetcher;
-use crate::world::tables::{BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, Table, is_height_field};
+use crate::world::tables::{BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, Table, is_height_field, widen};
 use crate::{Error, Result};
 
 /// Columns of a tile.
@@ -157,9 +157,8 @@ pub struct Paging {
     pub install_ms: f64,
 }
 
-/// Why a tile is not there, and when it is asked for again.
+/// How often a tile could not be had, and when it is asked for again.
 struct Fault {
-    text: String,
     tries: u32,
     again_ms: f64,
 }
@@ -178,29 +177,27 @@ pub struct Pager {
     faults: HashMap<TileKey, Fault>,
     told: HashSet<TileKey>,
     notices: Vec<String>,
-    clock: Box<dyn Fn() -> f64 + Send + Sync>,
+    since: Instant,
 }
 
 /// The tiles that planes can touch, those that most of them pass first; `None` where more than a window holds.
 pub fn wanted(setup: &Setup, dims: [u32; 3]) -> Option<Vec<Wanted>> {
-    let side = 1usize << WINDOW_SHIFT;
+    let (side, grids) = (1usize << WINDOW_SHIFT, grids(dims));
     let mut found = Vec::new();
     for l in 0..setup.levels {
         let mut counts = vec![0u32; side * side];
         let scale = f64::from(TILE) * f64::from(1u32 << l);
         let margin = MARGIN / f64::from(TILE);
         let eye = [0, 1].map(|k| (f64::from(setup.eye_cell[2 * k]) + setup.eye_fract[2 * k]) / scale);
-        let tiles = [dims[0], dims[2]].map(|n| f64::from(n.div_ceil(1 << l).div_ceil(TILE)) - 1.0);
+        let tiles = grids[l as usize].tiles.map(|n| f64::from(n) - 1.0);
         // Bounds of all that is passed, so that nothing is mistaken for what stands a whole window away.
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         let mut passes = Vec::new();
         for plane in &setup.planes {
-            let begin = |l: u32| if l > plane.lod_first { plane.lod_t * f64::from(1u32 << l) } else { plane.t_start };
             if l < plane.lod_first || plane.t_end <= plane.t_start {
                 continue;
             }
-            let from = begin(l).max(plane.t_start);
-            let to = if l + 1 < setup.levels { begin(l + 1).min(plane.t_end) } else { plane.t_end };
+            let [from, to] = setup.part(plane, l);
             if to < from {
                 continue;
             }
@@ -289,8 +286,6 @@ impl Pager {
     pub fn new(source: Arc<dyn TileSource>, budget: u64) -> Result<(Pager, Resident)> {
         let heights = source.is_height_field();
         let fetcher = Fetcher::new(Arc::clone(&source));
-        let since = Instant::now();
-        let clock = Box::new(move || since.elapsed().as_secs_f64() * 1e3);
         let mut pager = Pager {
             source,
             fetcher,
@@ -303,7 +298,7 @@ impl Pager {
             faults: HashMap::new(),
             told: HashSet::new(),
             notices: Vec::new(),
-            clock,
+            since: Instant::now(),
         };
         let resident = pager.restart()?;
         Ok((pager, resident))
@@ -313,14 +308,13 @@ impl Pager {
         slot_bytes(self.heights, self.source.color())
     }
 
-    /// Empty tables, but for the coarsest levels.
+    /// Empty tables, but for the coarsest levels. What was asked for before is forgotten.
     fn restart(&mut self) -> Result<Resident> {
+        self.fetcher.restart();
         let dims = self.source.dims();
         let n_levels = self.source.levels();
-        let tiles = |l: u32| -> u64 {
-            let [x, z] = [dims[0], dims[2]].map(|n| u64::from(n.div_ceil(1 << l).div_ceil(TILE)));
-            x * z
-        };
+        let grids = grids(dims);
+        let tiles = |l: u32| grids[l as usize].n_tiles();
         let pinned = |l: u32| tiles(l) <= PINNED;
         self.shares.resize(n_levels as usize, 1);
         for (l, share) in (0..n_levels).zip(&mut self.shares) {
@@ -340,9 +334,8 @@ impl Pager {
         let mut levels = Vec::new();
         for l in 0..n_levels {
             let n = self.shares[l as usize] as usize + 1;
-            let [nx, nz] = [dims[0], dims[2]].map(|n| n.div_ceil(1 << l));
-            let most = nx.max(nz).div_ceil(TILE).next_power_of_two().ilog2();
-            let shift = most.min(WINDOW_SHIFT);
+            let Grid { dims: [nx, _, nz], tiles: [tx, tz], .. } = grids[l as usize];
+            let shift = tx.max(tz).next_power_of_two().ilog2().min(WINDOW_SHIFT);
             let table = if self.heights {
                 Table::Heights(bytemuck::zeroed_vec(n * COLUMNS))
             } else {
@@ -383,7 +376,7 @@ impl Pager {
             .rev()
             .filter(|&l| self.levels[l as usize].pinned)
             .flat_map(|level| {
-                let [tx, tz] = [dims[0], dims[2]].map(|n| n.div_ceil(1 << level).div_ceil(TILE));
+                let [tx, tz] = grids[level as usize].tiles;
                 (0..tz).flat_map(move |z| (0..tx).map(move |x| TileKey { level, x, z }))
             })
             .collect();
@@ -391,13 +384,16 @@ impl Pager {
         for (key, tile) in pinned.into_iter().zip(read) {
             match tile? {
                 Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables)?,
-                None => {
-                    self.heights = false;
-                    return self.restart();
-                }
+                None => return self.without_heights(),
             }
         }
         Ok(resident)
+    }
+
+    /// The same with runs: a tile has shown that heights do not do.
+    fn without_heights(&mut self) -> Result<Resident> {
+        self.heights = false;
+        self.restart()
     }
 
     fn read(&self, key: TileKey) -> Result<Option<Tile>> {
@@ -419,16 +415,21 @@ impl Pager {
         std::mem::take(&mut self.notices)
     }
 
-    /// Takes time from elsewhere, in milliseconds: for tests.
-    pub fn set_clock(&mut self, clock: Box<dyn Fn() -> f64 + Send + Sync>) {
-        self.clock = clock;
+    /// Milliseconds since it was made.
+    fn now(&self) -> f64 {
+        self.since.elapsed().as_secs_f64() * 1e3
     }
 
-    fn slot_of(&self, resident: &Resident, key: TileKey) -> Option<u32> {
+    /// The slot that a tile's place in the window has.
+    fn slot_at(resident: &Resident, key: TileKey) -> u32 {
         let pages = resident.levels[key.level as usize].pages.as_ref().expect("a paged level has pages");
-        let slot = pages.slots[pages.place(key.x, key.z)];
-        let held = self.levels[key.level as usize].slots[slot as usize].as_ref()?;
-        (held.key == key).then_some(slot)
+        pages.slots[pages.place(key.x, key.z)]
+    }
+
+    /// What stands for a tile.
+    fn held(&self, resident: &Resident, key: TileKey) -> Option<&Slot> {
+        let slot = Pager::slot_at(resident, key) as usize;
+        self.levels[key.level as usize].slots[slot].as_ref().filter(|held| held.key == key)
     }
 
     /// By how many levels what stands for a tile is coarser; `None` where nothing does, and it is shown empty.
@@ -436,8 +437,7 @@ impl Pager {
         if self.source.is_empty(key) {
             return Some(0);
         }
-        let slot = self.slot_of(resident, key)?;
-        self.levels[key.level as usize].slots[slot as usize].as_ref().map(|slot| slot.missing)
+        self.held(resident, key).map(|slot| slot.missing)
     }
 
     /// Bytes that tiles take.
@@ -467,9 +467,10 @@ impl Pager {
         let mut per_level = vec![0usize; self.levels.len()];
         for w in &wanted {
             per_level[w.key.level as usize] += 1;
-            if let Some(slot) = self.slot_of(resident, w.key) {
-                let held = self.levels[w.key.level as usize].slots[slot as usize].as_mut();
-                held.expect("slot_of has found it").used = self.frame;
+            let slot = Pager::slot_at(resident, w.key) as usize;
+            let held = self.levels[w.key.level as usize].slots[slot].as_mut();
+            if let Some(held) = held.filter(|held| held.key == w.key) {
+                held.used = self.frame;
             }
         }
         if per_level.iter().zip(&self.levels).any(|(&n, level)| n >= level.slots.len()) {
@@ -488,14 +489,13 @@ impl Pager {
             if tight > most {
                 return Ok(None);
             }
-            self.fetcher.restart();
             *resident = match self.restart() {
                 Err(Error::Limit(_)) => return Ok(None),
                 tables => tables?,
             };
             return self.update(resident, setup, patience);
         }
-        let before = (self.clock)();
+        let before = self.now();
         let mut absent: Vec<Wanted> = wanted.iter().copied().filter(|w| self.lacks(resident, w.key)).collect();
         match patience {
             Patience::Wait => {
@@ -504,15 +504,14 @@ impl Pager {
                 while !absent.is_empty() {
                     let mut failed = Vec::new();
                     for some in absent.chunks(4 * rayon::current_num_threads()) {
-                        let start = (self.clock)();
+                        let start = self.now();
                         let read: Vec<_> = some.par_iter().map(|w| self.read(w.key)).collect();
-                        paging.unpack_ms += (self.clock)() - start;
+                        paging.unpack_ms += self.now() - start;
                         for (w, tile) in some.iter().zip(read) {
                             match tile {
                                 Ok(Some(tile)) => self.arrive(resident, w.key, &tile, &mut paging)?,
                                 Ok(None) => {
-                                    self.heights = false;
-                                    *resident = self.restart()?;
+                                    *resident = self.without_heights()?;
                                     return self.update(resident, setup, patience);
                                 }
                                 Err(e) => failed.push((*w, e)),
@@ -533,24 +532,22 @@ impl Pager {
                 let end = before + ms;
                 self.request(resident, &absent);
                 loop {
-                    let left = end - (self.clock)();
+                    let left = end - self.now();
                     let waits = absent.iter().any(|w| self.lacks(resident, w.key) && !self.is_put_off(w.key));
                     let Some((key, tile)) = self.fetcher.next(if waits { left.max(0.0) } else { 0.0 }) else { break };
                     match tile {
                         Ok(Some(tile)) => self.arrive(resident, key, &tile, &mut paging)?,
                         Ok(None) => {
-                            self.heights = false;
-                            self.fetcher.restart();
-                            *resident = self.restart()?;
+                            *resident = self.without_heights()?;
                             return self.update(resident, setup, patience);
                         }
                         Err(e) => self.fault(key, &e),
                     }
-                    if (self.clock)() >= end {
+                    if self.now() >= end {
                         break;
                     }
                 }
-                paging.unpack_ms = (self.clock)() - before - paging.install_ms;
+                paging.unpack_ms = self.now() - before - paging.install_ms;
             }
         }
         for w in &wanted {
@@ -558,9 +555,9 @@ impl Pager {
                 continue;
             }
             paging.missing += 1;
-            let start = (self.clock)();
+            let start = self.now();
             self.stand_in(resident, w.key, &mut paging)?;
-            paging.install_ms += (self.clock)() - start;
+            paging.install_ms += self.now() - start;
         }
         paging.bytes_resident = self.bytes();
         if paging.bytes_resident > self.budget {
@@ -583,8 +580,7 @@ impl Pager {
 
     /// Shows nothing where an empty tile is.
     fn clear(&mut self, resident: &mut Resident, key: TileKey) {
-        let pages = resident.levels[key.level as usize].pages.as_ref().expect("a paged level has pages");
-        let slot = pages.slots[pages.place(key.x, key.z)];
+        let slot = Pager::slot_at(resident, key);
         if slot != 0 {
             self.evict(resident, key.level, slot);
             self.levels[key.level as usize].free.push(slot);
@@ -598,18 +594,17 @@ impl Pager {
 
     /// Whether a tile failed lately.
     fn is_put_off(&self, key: TileKey) -> bool {
-        self.faults.get(&key).is_some_and(|fault| fault.again_ms > (self.clock)())
+        self.faults.get(&key).is_some_and(|fault| fault.again_ms > self.now())
     }
 
     fn fault(&mut self, key: TileKey, error: &Error) {
-        let now = (self.clock)();
-        let fault = self.faults.entry(key).or_insert(Fault { text: String::new(), tries: 0, again_ms: 0.0 });
+        let now = self.now();
+        let fault = self.faults.entry(key).or_insert(Fault { tries: 0, again_ms: 0.0 });
         fault.tries += 1;
         // Each time twice as long, half a minute at most.
         fault.again_ms = now + (250.0 * f64::from(1u32 << fault.tries.min(7))).min(30_000.0);
-        fault.text = error.to_string();
         if self.told.insert(key) {
-            self.notices.push(format!("{}; it is shown from a coarser tile, and asked for again", fault.text));
+            self.notices.push(format!("{error}; it is shown from a coarser tile, and asked for again"));
         }
     }
 
@@ -642,7 +637,7 @@ impl Pager {
 
     fn arrive(&mut self, resident: &mut Resident, key: TileKey, tile: &Tile, paging: &mut Paging) -> Result<()> {
         self.faults.remove(&key);
-        let start = (self.clock)();
+        let start = self.now();
         if self.install(resident, key, 0, &tile.tables)?.is_some_and(|evicted| {
             paging.evicted += u32::from(evicted);
             true
@@ -650,7 +645,7 @@ impl Pager {
             paging.arrived += 1;
             paging.bytes_read += tile.bytes;
         }
-        paging.install_ms += (self.clock)() - start;
+        paging.install_ms += self.now() - start;
         Ok(())
     }
 
@@ -694,13 +689,11 @@ impl Pager {
         tile: &ResidentLevel,
     ) -> Result<Option<bool>> {
         let l = key.level as usize;
-        let own = self.slot_of(resident, key);
-        let used =
-            own.and_then(|slot| self.levels[l].slots[slot as usize].as_ref()).map_or(self.frame, |slot| slot.used);
+        let own = self.held(resident, key);
+        let (known, used) = (own.is_some(), own.map_or(self.frame, |slot| slot.used));
         let mut evicted = false;
         // Whatever stands at its place in the window is a whole window away.
-        let pages = resident.levels[l].pages.as_ref().expect("a paged level has pages");
-        let there = pages.slots[pages.place(key.x, key.z)];
+        let there = Pager::slot_at(resident, key);
         let slot = match (there, self.levels[l].free.pop()) {
             (0, Some(slot)) => slot,
             (0, None) => {
@@ -715,7 +708,7 @@ impl Pager {
             }
             (there, free) => {
                 self.levels[l].free.extend(free);
-                evicted = own.is_none();
+                evicted = !known;
                 there
             }
         };
@@ -976,13 +969,8 @@ fn blocks_of(tile: &ResidentLevel) -> Vec<u32> {
             if top == EMPTY {
                 continue;
             }
-            let lowest = match &tile.table {
-                Table::Heights(_) => 0,
-                Table::Runs { .. } => tile.column(ix).last().map_or(0, |run| run.first()),
-            };
-            let block = &mut blocks[tile.block(x, z)];
-            let (first, last) = ((*block & 0xFFFF) as u16, (*block >> 16) as u16);
-            *block = u32::from(first.min(lowest)) | u32::from(last.max(Run(top).last())) << 16;
+            let top = Run(top);
+            widen(&mut blocks[tile.block(x, z)], tile.column(ix).last().unwrap_or(top), top);
         }
     }
     blocks
@@ -1009,13 +997,8 @@ mod tests {
     use super::*;
     use crate::cpu::renderer::{CpuRenderer, Outputs};
     use crate::render::device::{Device, Renderer};
+    use crate::testing::noise;
     use crate::{Camera, Options};
-
-    fn noise(x: u32, y: u32, z: u32) -> u32 {
-        let mut v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
-        v = (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D);
-        v ^ (v >> 13)
-    }
 
     /// Hills, or caves, of several tiles whose last ones are cut off.
     fn scene(caves: bool, color: ColorMode, encoding: Encoding) -> Scene {

@@ -427,7 +427,7 @@ fn block_of(i: usize, nx: usize, row: usize) -> usize {
     ((i / nx) >> BLOCK_SHIFT) * row + ((i % nx) >> BLOCK_SHIFT)
 }
 
-fn widen(block: &mut u32, lowest: Run, highest: Run) {
+pub(crate) fn widen(block: &mut u32, lowest: Run, highest: Run) {
     let (first, last) = (*block as u16, (*block >> 16) as u16);
     *block = u32::from(first.min(lowest.first())) | u32::from(last.max(highest.last())) << 16;
 }

@@ -265,13 +265,8 @@ impl<'a> Cursor<'a> {
 mod tests {
     use super::*;
     use crate::frame::specialize::Features;
+    use crate::testing::noise;
     use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
-
-    fn noise(x: u32, y: u32, z: u32) -> u32 {
-        let mut v = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ z.wrapping_mul(0xC2B2_AE3D);
-        v = (v ^ (v >> 15)).wrapping_mul(0x2C1B_3C6D);
-        v ^ (v >> 13)
-    }
 
     /// Every cell is as the columns have it, and every empty cube is empty as far as the world reaches.
     #[test]

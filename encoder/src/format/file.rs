@@ -250,7 +250,7 @@ impl PcastFile {
     /// its bytes from one look to the next.
     pub(crate) fn blob(&self, level: usize, tx: u32, tz: u32) -> Result<Option<Blob<'_>>> {
         let Some(bytes) = self.stored(level, tx, tz)? else { return Ok(None) };
-        self.unpack(level, tx, tz, Cow::Borrowed(bytes))
+        unpack(self.place(level, tx, tz), Cow::Borrowed(bytes))
     }
 
     /// The same to be read as a whole: bytes that were found right stay so.
@@ -261,24 +261,7 @@ impl PcastFile {
         let Some(bytes) = self.in_file(self.tile_ix(level, tx, tz)) else { return Ok(None) };
         let bytes = bytes.to_vec();
         self.check_sum(level, tx, tz, &bytes)?;
-        self.unpack(level, tx, tz, Cow::Owned(bytes))
-    }
-
-    /// None of a tile that has matter alone.
-    fn unpack<'a>(&'a self, level: usize, tx: u32, tz: u32, bytes: Cow<'a, [u8]>) -> Result<Option<Blob<'a>>> {
-        let mut place = self.place(level, tx, tz);
-        let stored = bytes.len();
-        let bytes = unframed(&place, bytes)?;
-        if place.flags & MATTER == 0 {
-            return Blob::new(place, bytes, stored).map(Some);
-        }
-        let solid = parts(&place, &bytes)?.0;
-        place.offset += solid.start as u64;
-        let bytes = match bytes {
-            Cow::Borrowed(bytes) => Cow::Borrowed(&bytes[solid]),
-            Cow::Owned(bytes) => Cow::Owned(bytes[solid].to_vec()),
-        };
-        if bytes.is_empty() { Ok(None) } else { Blob::new(place, bytes, stored).map(Some) }
+        unpack(self.place(level, tx, tz), Cow::Owned(bytes))
     }
 
     /// The matter of a tile, every byte of it checked; None where it has none.
@@ -636,12 +619,7 @@ impl TileSource for PcastFile {
 
     fn heights(&self, level: u32) -> [u32; 2] {
         let grid = &self.grids[level as usize];
-        let tiles = &self.entries[grid.first as usize..][..grid.n_tiles() as usize];
-        let found = tiles.iter().filter(|tile| !tile.is_empty());
-        let [bottom, top] = found.fold([u32::MAX, 0], |[bottom, top], tile| {
-            [bottom.min(tile.y_min.into()), top.max(u32::from(tile.y_max) + 1)]
-        });
-        [bottom.min(top), top]
+        heights(&self.entries[grid.first as usize..][..grid.n_tiles() as usize])
     }
 
     fn is_height_field(&self) -> bool {
@@ -663,6 +641,14 @@ impl TileSource for PcastFile {
     fn has_matter(&self) -> bool {
         PcastFile::has_matter(self)
     }
+}
+
+/// The lowest voxel of some tiles, and one past the highest; equal where they are empty.
+pub(crate) fn heights<'a>(tiles: impl IntoIterator<Item = &'a TileEntry>) -> [u32; 2] {
+    let found = tiles.into_iter().filter(|tile| !tile.is_empty());
+    let [bottom, top] = found
+        .fold([u32::MAX, 0], |[bottom, top], tile| [bottom.min(tile.y_min.into()), top.max(u32::from(tile.y_max) + 1)]);
+    [bottom.min(top), top]
 }
 
 /// What a header says, after it was found to be right.
@@ -797,6 +783,22 @@ fn unframed<'a>(place: &Place, bytes: Cow<'a, [u8]>) -> Result<Cow<'a, [u8]>> {
     Ok(Cow::Owned(unpacked))
 }
 
+/// The blob of a tile's solid part, from its bytes as they are stored; None of a tile that has matter alone.
+fn unpack<'a>(mut place: Place<'a>, bytes: Cow<'a, [u8]>) -> Result<Option<Blob<'a>>> {
+    let stored = bytes.len();
+    let bytes = unframed(&place, bytes)?;
+    if place.flags & MATTER == 0 {
+        return Blob::new(place, bytes, stored).map(Some);
+    }
+    let solid = parts(&place, &bytes)?.0;
+    place.offset += solid.start as u64;
+    let bytes = match bytes {
+        Cow::Borrowed(bytes) => Cow::Borrowed(&bytes[solid]),
+        Cow::Owned(bytes) => Cow::Owned(bytes[solid].to_vec()),
+    };
+    if bytes.is_empty() { Ok(None) } else { Blob::new(place, bytes, stored).map(Some) }
+}
+
 /// Where the solid part and the matter of a blob with both are.
 fn parts(place: &Place, bytes: &[u8]) -> Result<(Range<usize>, Range<usize>)> {
     let header = format::MATTER_HEADER;
@@ -821,22 +823,12 @@ pub(crate) fn decode_matter(place: &Place, bytes: Cow<[u8]>, max_code: u16) -> R
 }
 
 /// A tile from its bytes as they are stored, every one of them checked; from none an empty one. Matter is left out.
-pub(crate) fn read_tile(mut place: Place, bytes: Option<Vec<u8>>, entry: &TileEntry) -> Result<Level> {
+pub(crate) fn read_tile(place: Place, bytes: Option<Vec<u8>>, entry: &TileEntry) -> Result<Level> {
     let Some(bytes) = bytes else { return Ok(place.empty()) };
     if xxh3_64(&bytes) != entry.checksum {
         return Err(place.error(0, "does not match its checksum; the file is damaged"));
     }
-    let stored = bytes.len();
-    let mut bytes = unframed(&place, Cow::Owned(bytes))?;
-    if place.flags & MATTER != 0 {
-        let solid = parts(&place, &bytes)?.0;
-        place.offset += solid.start as u64;
-        bytes = Cow::Owned(bytes[solid].to_vec());
-        if bytes.is_empty() {
-            return Ok(place.empty());
-        }
-    }
-    let blob = Blob::new(place, bytes, stored)?;
+    let Some(blob) = unpack(place, Cow::Owned(bytes))? else { return Ok(place.empty()) };
     let tile = blob.level()?;
     blob.check_figures(&tile, entry)?;
     Ok(tile)

@@ -10,7 +10,7 @@ use bytemuck::pod_read_unaligned;
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::format::MATTER;
-use crate::format::file::{Modes, Outline, Place, check_entries, read_tile};
+use crate::format::file::{Modes, Outline, Place, check_entries, heights, read_tile};
 use crate::format::{Grid, Header, TileEntry, metadata};
 use crate::model::about::Kind;
 use crate::model::tiles::{TileKey, TileSource};
@@ -258,15 +258,8 @@ impl TileSource for RangedFile {
     fn heights(&self, level: u32) -> [u32; 2] {
         let grid: &Grid = &self.outline.grids[level as usize];
         let tiles = grid.first as usize..(grid.first + grid.n_tiles()) as usize;
-        let mut ends = [u32::MAX, 0];
-        for tile in tiles {
-            match self.known(tile) {
-                None => return [0, grid.dims[1]],
-                Some(e) if e.is_empty() => {}
-                Some(e) => ends = [ends[0].min(e.y_min.into()), ends[1].max(u32::from(e.y_max) + 1)],
-            }
-        }
-        [ends[0].min(ends[1]), ends[1]]
+        let known: Option<Vec<&TileEntry>> = tiles.map(|tile| self.known(tile)).collect();
+        known.map_or([0, grid.dims[1]], heights)
     }
 
     fn is_height_field(&self) -> bool {
