@@ -278,13 +278,15 @@ impl clap::FromArgMatches for InputArgs {
     }
 }
 
-/// A scene, or anything else encoded as `encode` would, with a bar on the terminal and a line or two on how it was read.
-pub fn open(name: &Path, read: &ReadOptions) -> Result<Opened> {
+/// A scene, or anything else encoded as `encode` would, with a bar on the terminal and a line or two on how it was read. Of a
+/// scene it says which flags were of no use: all that say how an input is read, but --ramp where `tints`.
+pub fn open(name: &Path, read: &ReadOptions, tints: bool) -> Result<Opened> {
     let watch = Arc::new(Watch::default());
     let opened = with_bar(&watch, 0, || open::open(name, read, &watch, &mut |world| tell_of(world, false)))?;
-    if !opened.encoded && read.is_given() {
+    let ramp = read.ramp.clone().filter(|_| !tints);
+    if !opened.encoded && (ReadOptions { ramp, ..read.clone() }).is_given() {
         crate::note!(
-            "{}: is a scene already; --ramp, --exaggeration, --iso and what else says how an input is read belong to encode, and change nothing here",
+            "{}: is a scene already; --exaggeration, --iso and what else says how an input is read belong to encode, and change nothing here",
             name.display()
         );
     }
@@ -647,7 +649,7 @@ pub struct InfoArgs {
 
 impl InfoArgs {
     pub fn run(&self) -> Result<()> {
-        let info = info::info(&open(&self.scene, &self.input.read)?.file)?;
+        let info = info::info(&open(&self.scene, &self.input.read, false)?.file)?;
         print(&if self.json { json(&info) } else { info.to_string() })
     }
 }
@@ -682,7 +684,7 @@ struct QueryAnswer {
 
 impl QueryArgs {
     pub fn run(&self) -> Result<()> {
-        let voxel = open(&self.scene, &self.input.read)?.file.query(self.x, self.y, self.z)?;
+        let voxel = open(&self.scene, &self.input.read, false)?.file.query(self.x, self.y, self.z)?;
         let color = voxel.color.map(|[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}"));
         print(&json(&QueryAnswer { solid: voxel.solid, color }))
     }

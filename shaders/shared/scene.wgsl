@@ -122,6 +122,9 @@ fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
     if (PAINT == PAINT_COLUMN) {
         return paint(levels[l].colors + ix);
     }
+    if (PAINT == PAINT_HEIGHT) {
+        return paint(levels[l].colors + y);
+    }
     if (PAINT == PAINT_RUN) {
         return paint(levels[l].colors + paint(levels[l].paint + ix) + k);
     }

@@ -54,7 +54,8 @@ use crate::output::Picture;
 use crate::render::annotate::annotate;
 use crate::render::device::{Device, Renderer};
 use crate::render::scan;
-use crate::world::is_surface;
+use crate::world::tint::Tint;
+use crate::world::{is_plain, is_surface};
 use crate::{
     Camera, Culling, Error, Features, Frame, Normals, Options, Outputs, Planes, Projection, Remap, Repeat, Resident,
     Result, Shading, output, view,
@@ -857,7 +858,13 @@ impl DrawArgs {
         *options = options.drawn();
         // A surface is drawn from heights alone.
         let features = if options.smooth { self.specialize.with(crate::Feature::Heights) } else { self.specialize };
-        let resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+        let mut resident = Resident::with(&scene, features).with_fractions(&surface.about.fractions);
+        if let Some(tint) = &surface.tint {
+            tint.paint(&mut resident);
+        }
+        if surface.plain {
+            tell("the scene has no colours; --ramp terrain gives it some by height");
+        }
         self.set_transfer(&resident)?;
         if options.smooth && !resident.heights {
             options.smooth = false;
@@ -912,8 +919,8 @@ fn tell(what: &str) {
 }
 
 fn open_scene(path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<(Scene, Surface)> {
-    let opened = planecast_encoder::cli::open(path, read)?;
-    let surface = Surface::of(&opened);
+    let opened = planecast_encoder::cli::open(path, read, true)?;
+    let surface = Surface::of(&opened, read)?;
     Ok((planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface))
 }
 
@@ -923,13 +930,21 @@ pub struct Surface {
     about: About,
     /// As `info` has it.
     content: String,
+    /// Colours instead of the scene's.
+    tint: Option<Tint>,
+    /// Whether it is a scene of land that has no colours, and nobody said which.
+    plain: bool,
 }
 
 impl Surface {
-    fn of(opened: &planecast_encoder::encode::open::Opened) -> Surface {
+    fn of(opened: &planecast_encoder::encode::open::Opened, read: &ReadOptions) -> Result<Surface> {
         let about = opened.file.about().clone();
         let content = info::content_hash(&opened.file);
-        Surface { stands: is_surface(&about, opened.encoded), about, content }
+        // An input has them by now.
+        let ramp = read.ramp.as_deref().filter(|_| !opened.encoded);
+        let tint = ramp.map(|name| Tint::new(name, &about)).transpose()?.flatten();
+        let plain = is_plain(&about, opened.file.color()) && !opened.encoded && read.ramp.is_none();
+        Ok(Surface { stands: is_surface(&about, opened.encoded), about, content, tint, plain })
     }
 }
 
@@ -1145,7 +1160,7 @@ impl ViewshedArgs {
         let kind = viewshed::Kind::of(&self.output)?;
         check_outputs(&[Some(&self.scene)], &[("--output", Some(&self.output))])?;
         set_threads(self.threads)?;
-        let file = planecast_encoder::cli::open(&self.scene, &self.input.read)?.file;
+        let file = planecast_encoder::cli::open(&self.scene, &self.input.read, false)?.file;
         let about = file.about().clone();
         // Of heights level 0 alone is read.
         let level = match viewshed::heights(&file)? {

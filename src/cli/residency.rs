@@ -12,6 +12,7 @@ use super::{Surface, positive, tell};
 use crate::render::device::{Device, Renderer};
 use crate::world::pager::Patience;
 use crate::world::preview::Preview;
+use crate::world::tint::Tint;
 use crate::{Error, Result};
 
 /// Bytes that a scene takes in memory once it is ready to be drawn, for each byte of its lists.
@@ -64,11 +65,14 @@ pub enum Held {
 pub struct Tiles {
     pub source: Arc<dyn TileSource>,
     pub preview: Preview,
+    /// Colours instead of its own.
+    tint: Option<Tint>,
 }
 
-fn tiles_of(source: Arc<dyn TileSource>) -> Result<Held> {
+fn tiles_of(source: Arc<dyn TileSource>, read: &ReadOptions) -> Result<Held> {
+    let tint = read.ramp.as_deref().map(|name| Tint::new(name, &source.about())).transpose()?.flatten();
     let preview = Preview::new(&*source)?;
-    Ok(Held::Tiles(Tiles { source, preview }))
+    Ok(Held::Tiles(Tiles { source, preview, tint }))
 }
 
 impl ResidencyArgs {
@@ -84,9 +88,9 @@ impl ResidencyArgs {
                 let what = format!("{}: is drawn in tiles alone; leave out --residency whole", path.display());
                 return Err(Error::Argument(what));
             }
-            return tiles_of(source);
+            return tiles_of(source, read);
         }
-        let opened = planecast_encoder::cli::open(path, read)?;
+        let opened = planecast_encoder::cli::open(path, read, true)?;
         let need = opened.file.scene_bytes_at_least().saturating_mul(READY);
         let room = self.memory.or_else(memory::available).unwrap_or(u64::MAX);
         let paged = match self.residency {
@@ -96,7 +100,7 @@ impl ResidencyArgs {
             Residency::Auto => !skip_broken && need > room,
         };
         if !paged {
-            let surface = Box::new(Surface::of(&opened));
+            let surface = Box::new(Surface::of(&opened, read)?);
             return Ok(Held::Whole { scene: planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface });
         }
         if self.residency == Residency::Auto {
@@ -105,7 +109,9 @@ impl ResidencyArgs {
                 "the world takes some {need} of memory, {room} are allowed: tiles are read as frames show them"
             ));
         }
-        tiles_of(Arc::new(opened.file))
+        // An input has the ramp's colours by now.
+        let read = if opened.encoded { &ReadOptions::default() } else { read };
+        tiles_of(Arc::new(opened.file), read)
     }
 
     /// Opens the device that draws tiles.
@@ -114,6 +120,6 @@ impl ResidencyArgs {
         let host = self.memory.unwrap_or_else(half);
         // The GPU's tiles are on the host too.
         let budget = if device == Device::Cpu { host } else { host.min(self.memory_gpu.unwrap_or(USUAL_GPU)) };
-        Renderer::of_tiles(Arc::clone(&tiles.source), device, budget, self.stream, &mut tell)
+        Renderer::of_tiles(Arc::clone(&tiles.source), device, budget, self.stream, tiles.tint.clone(), &mut tell)
     }
 }

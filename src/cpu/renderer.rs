@@ -16,7 +16,7 @@ use crate::frame::plane_setup::sphere::Layout;
 use crate::frame::plane_setup::{EYE_LIMIT, Plane, Setup, plane_setup, plane_setup_in};
 use crate::frame::projection::{Projection, Rays, face_cameras, join_faces};
 use crate::frame::specialize::{Specialization, Twin};
-use crate::world::tables::Resident;
+use crate::world::tables::{Paint, Resident};
 use crate::world::tree::Tree;
 use planecast_encoder::{ColorMode, Encoding, Run, Scene};
 use rayon::prelude::*;
@@ -712,6 +712,9 @@ pub(crate) fn frame_stats(
         ColorMode::None => {}
         ColorMode::Run => specialization.push("color-run".into()),
         ColorMode::Voxel => specialization.push("color-voxel".into()),
+    }
+    if matches!(resident.levels[0].paint, Paint::Height { .. }) {
+        specialization.push("color-height".into());
     }
     if options.repeat.x || options.repeat.z {
         specialization.push("repeat".into());

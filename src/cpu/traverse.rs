@@ -1048,7 +1048,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             return;
         }
         self.depth[lanes.clone()].copy_from_slice(&scaled(d.t0, &depth_t[lanes.clone()]));
-        let voxel_paint = COLOR && matches!(level.paint, Paint::Voxel { .. });
+        let voxel_paint = COLOR && matches!(level.paint, Paint::Voxel { .. } | Paint::Height { .. });
         let mut ys = [0; LANES];
         if VOXEL || voxel_paint {
             let highest = R::from_i32(((last - first + 1) << l) as i32 - 1);
@@ -1065,6 +1065,10 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             return;
         }
         let color = &mut self.color[lanes];
+        if let Paint::Height { colors } = &level.paint {
+            color.iter_mut().zip(ys).for_each(|(c, y)| *c = colors[y as usize]);
+            return;
+        }
         let Paint::Voxel { stride, base, exposed, colors } = &level.paint else {
             color.fill(level.paint.color(d.column, d.k, first));
             return;
@@ -1195,6 +1199,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
                 _ if !COLOR => {}
                 Paint::None => color.fill(UNPAINTED),
                 Paint::Column { colors } => color.fill(colors[d.column]),
+                Paint::Height { colors } => {
+                    color.iter_mut().zip(slope).for_each(|(c, s)| *c = colors[y(s) as usize]);
+                }
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
                 Paint::Voxel { stride, base, exposed, colors } => {
                     let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];

@@ -170,7 +170,7 @@ impl GpuResident {
             let blocks = slot as usize * BLOCKS..(slot as usize + 1) * BLOCKS;
             put(1, at(room.blocks, blocks.start), bytemuck::cast_slice(&level.blocks[blocks.clone()]))?;
             match &level.paint {
-                Paint::None => {}
+                Paint::None | Paint::Height { .. } => {}
                 Paint::Column { colors } => {
                     put(2, at(room.colors, columns.start), bytemuck::cast_slice(&colors[columns.clone()]))?;
                 }
@@ -184,6 +184,11 @@ impl GpuResident {
                     put(2, at(room.exposed, 2 * exposed.start as usize), bytemuck::cast_slice(&list[part(&exposed)]))?;
                     put(2, at(room.colors, colors.start as usize), bytemuck::cast_slice(&all[part(&colors)]))?;
                 }
+            }
+        }
+        for (room, level) in slots.levels.iter().zip(&resident.levels).filter(|_| all) {
+            if let Paint::Height { colors } = &level.paint {
+                put(2, room.level.colors.into(), bytemuck::cast_slice(colors))?;
             }
         }
         for (l, level) in resident.levels.iter().enumerate().filter(|&(l, _)| turned[l]) {
@@ -280,7 +285,7 @@ fn write(
 /// How many words of runs, exposed runs and colours a level's growing tables have.
 fn grown(level: &ResidentLevel) -> [u32; 3] {
     match &level.paint {
-        Paint::None | Paint::Column { .. } => [level.runs().len(), 0, 0],
+        Paint::None | Paint::Column { .. } | Paint::Height { .. } => [level.runs().len(), 0, 0],
         Paint::Run { colors, .. } => [level.runs().len(), 0, colors.len()],
         Paint::Voxel { exposed, colors, .. } => [level.runs().len(), exposed.len(), colors.len()],
     }
@@ -327,6 +332,10 @@ fn lay_out(resident: &Resident) -> Result<(Vec<Room>, [Size; 3], u32)> {
             Paint::None => {}
             Paint::Column { colors } => {
                 paint = 3;
+                out.colors = put(2, colors.len())?;
+            }
+            Paint::Height { colors } => {
+                paint = 4;
                 out.colors = put(2, colors.len())?;
             }
             Paint::Run { base, .. } => {
@@ -393,6 +402,10 @@ fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>
                 paint = 2;
                 out.paint = put(paints, bytemuck::cast_slice(base))?;
                 out.exposed = put(paints, bytemuck::cast_slice(exposed))?;
+                out.colors = put(paints, bytemuck::cast_slice(colors))?;
+            }
+            Paint::Height { colors } => {
+                paint = 4;
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
             Paint::Column { colors } => {

@@ -93,6 +93,7 @@ fn header() -> String {
     constant("PAINT_RUN", "1u".into());
     constant("PAINT_VOXEL", "2u".into());
     constant("PAINT_COLUMN", "3u".into());
+    constant("PAINT_HEIGHT", "4u".into());
     constant("FARTHEST", format!("{:?}f", refine::FARTHEST));
     constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
     constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));

@@ -13,6 +13,7 @@ use crate::render::paged::Paged;
 use crate::world::World;
 use crate::world::pager::Patience;
 use crate::world::tables::Resident;
+use crate::world::tint::Tint;
 use planecast_encoder::{Scene, TileSource};
 #[cfg(feature = "gpu")]
 use std::collections::VecDeque;
@@ -69,7 +70,7 @@ impl Renderer {
         Ok(Renderer { notices, ..renderer })
     }
 
-    /// Draws a world that comes in tiles, of which at most `budget` bytes are kept in memory.
+    /// Draws a world that comes in tiles, of which at most `budget` bytes are kept in memory; in its own colours, or in a tint's.
     ///
     /// # Errors
     /// Those of the coarsest tiles and of the device; [`Error::Limit`] where the budget holds no view.
@@ -78,9 +79,10 @@ impl Renderer {
         device: Device,
         budget: u64,
         patience: Patience,
+        tint: Option<Tint>,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Renderer> {
-        let paged = Paged::new(source, device, budget, patience, tell)?;
+        let paged = Paged::new(source, device, budget, patience, tint, tell)?;
         Ok(Renderer::of(Backend::Paged(Box::new(paged))))
     }
 

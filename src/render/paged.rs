@@ -17,6 +17,7 @@ use crate::gpu::{GpuOptions, GpuRenderer};
 use crate::render::device::Device;
 use crate::world::pager::{Change, Pager, Paging, Patience};
 use crate::world::tables::Resident;
+use crate::world::tint::Tint;
 use crate::{Error, Result};
 
 /// By how much a view that the budget does not hold is drawn coarser at a time.
@@ -128,12 +129,13 @@ impl Paged {
         device: Device,
         budget: u64,
         patience: Patience,
+        tint: Option<Tint>,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Paged> {
         if source.has_matter() {
             tell("translucent matter is left out: it needs the whole world, and this one comes in tiles");
         }
-        let (pager, resident) = Pager::new(source, budget)?;
+        let (pager, resident) = Pager::new(source, budget, tint)?;
         let resident = Arc::new(resident);
         let painter = open(&resident, device, tell)?;
         drop(resident);

@@ -7,6 +7,7 @@ pub mod pager;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod preview;
 pub mod tables;
+pub mod tint;
 pub mod tree;
 
 use std::path::{Path, PathBuf};
@@ -21,8 +22,12 @@ use planecast_encoder::{About, Colors, Columns, ColumnsBuilder, Input, PcastFile
 
 use crate::frame::specialize::Features;
 use crate::world::tables::Resident;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::world::tint::Tint;
 use crate::{Error, Result};
 
+#[cfg(not(target_arch = "wasm32"))]
+use planecast_encoder::ColorMode;
 #[cfg(not(target_arch = "wasm32"))]
 use planecast_encoder::encode::open::Opened;
 #[cfg(not(target_arch = "wasm32"))]
@@ -53,7 +58,7 @@ pub struct World {
 /// How a file is opened.
 #[derive(Clone, Debug)]
 pub struct OpenOptions {
-    /// Of an input that has to be encoded.
+    /// Of an input that has to be encoded; the ramp of a scene too.
     pub read: ReadOptions,
     /// Broken tiles of a scene file are empty.
     pub skip_broken: bool,
@@ -186,7 +191,15 @@ impl World {
         let opened =
             planecast_encoder::encode::open::open(path, &how.read, watch, &mut |of| notes = of.notes().to_vec())?;
         let skip_broken = how.skip_broken && !opened.encoded;
-        let world = World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)?;
+        let mut world = World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)?;
+        // An input has the ramp's colours by now.
+        let plain = is_plain(&world.about, world.scene.color);
+        let ramp = how.read.ramp.as_deref().or((how.read.show && plain).then_some("terrain"));
+        if let Some(name) = ramp.filter(|_| !opened.encoded)
+            && let Some(tint) = Tint::new(name, &world.about)?
+        {
+            tint.paint(Arc::get_mut(&mut world.resident).expect("nobody else has the tables yet"));
+        }
         Ok(World { notes, ..world })
     }
 
@@ -218,6 +231,12 @@ impl World {
     pub fn scene_file(&self) -> PathBuf {
         if self.encoded { PathBuf::from(self.name()).with_extension("pcast") } else { self.path.clone() }
     }
+}
+
+/// Whether a world is land without colours.
+#[cfg(not(target_arch = "wasm32"))]
+pub(crate) fn is_plain(about: &About, color: ColorMode) -> bool {
+    about.kind == Some(Kind::Terrain) && color == ColorMode::None
 }
 
 /// Whether a world stands for a surface: a map of heights that was opened to be looked at, or one that was encoded with fractions.

@@ -23,6 +23,7 @@ use crate::clock::Instant;
 use crate::frame::plane_setup::Setup;
 use crate::world::fetch::Fetcher;
 use crate::world::tables::{BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, Table, is_height_field, widen};
+use crate::world::tint::{Tint, Uncolored};
 use crate::{Error, Result};
 
 /// Columns of a tile.
@@ -38,7 +39,7 @@ const MARGIN: f64 = 8.0;
 const WINDOW_SHIFT: u32 = 6;
 
 /// Levels of at most so many tiles are all there from the start, and stay: what can always stand in.
-const PINNED: u64 = 4;
+pub(crate) const PINNED: u64 = 4;
 
 /// A tile that a frame wants, and how many of its planes pass it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -166,6 +167,8 @@ struct Fault {
 /// Which tiles of a world are there.
 pub struct Pager {
     source: Arc<dyn TileSource>,
+    /// Colours instead of the source's.
+    tint: Option<Tint>,
     fetcher: Fetcher,
     levels: Vec<Slots>,
     budget: u64,
@@ -279,15 +282,18 @@ fn slot_bytes(heights: bool, color: ColorMode) -> u64 {
 }
 
 impl Pager {
-    /// For the tiles of a source, in at most `budget` bytes; and the tables, with the coarsest levels there.
+    /// For the tiles of a source, in its colours or a tint's, in at most `budget` bytes; and the tables, with the coarsest levels
+    /// there.
     ///
     /// # Errors
     /// Those of the coarsest tiles; [`Error::Limit`] where the budget does not hold as much as a tile a level.
-    pub fn new(source: Arc<dyn TileSource>, budget: u64) -> Result<(Pager, Resident)> {
+    pub fn new(source: Arc<dyn TileSource>, budget: u64, tint: Option<Tint>) -> Result<(Pager, Resident)> {
+        let source = if tint.is_some() { Arc::new(Uncolored(source)) } else { source };
         let heights = source.is_height_field();
         let fetcher = Fetcher::new(Arc::clone(&source));
         let mut pager = Pager {
             source,
+            tint,
             fetcher,
             levels: Vec::new(),
             budget,
@@ -386,6 +392,9 @@ impl Pager {
                 Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables)?,
                 None => return self.without_heights(),
             }
+        }
+        if let Some(tint) = &self.tint {
+            tint.paint(&mut resident);
         }
         Ok(resident)
     }
@@ -752,7 +761,7 @@ impl Pager {
             out[..row.len()].copy_from_slice(row);
         }
         match (&mut level.paint, &tile.paint) {
-            (Paint::None, _) => {}
+            (Paint::None | Paint::Height { .. }, _) => {}
             (Paint::Column { colors: out }, Paint::Column { colors }) => {
                 for z in 0..nz {
                     out[row(z)..row(z) + nx].copy_from_slice(&colors[z * nx..(z + 1) * nx]);
@@ -898,7 +907,8 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32) -> Result<ResidentLevel> 
         }
     };
     let paint = match &level.paint {
-        Paint::None => Paint::None,
+        // What tints a world by height does so by level.
+        Paint::None | Paint::Height { .. } => Paint::None,
         Paint::Column { colors } => Paint::Column { colors: (0..n).map(|ix| colors[above(ix)]).collect() },
         Paint::Run { base, colors } => {
             let (mut bases, mut all) = (Vec::with_capacity(n), Vec::new());
@@ -992,7 +1002,7 @@ mod tests {
     use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
     use glam::DVec3;
-    use planecast_encoder::{BuildOptions, Colors, Columns, Encoding, Input, Level, PcastFile, Scene, build};
+    use planecast_encoder::{About, BuildOptions, Colors, Columns, Encoding, Input, Level, PcastFile, Scene, build};
 
     use super::*;
     use crate::cpu::renderer::{CpuRenderer, Outputs};
@@ -1097,15 +1107,22 @@ mod tests {
 
     #[test]
     fn paged_pictures_are_those_of_the_whole_world() {
+        let tint = Tint::new("turbo", &About::default()).unwrap();
         let worlds = [
-            (false, ColorMode::Run, Encoding::Solid),
-            (false, ColorMode::Voxel, Encoding::Solid),
-            (true, ColorMode::Run, Encoding::Solid),
-            (true, ColorMode::Voxel, Encoding::Surface),
+            (false, ColorMode::Run, Encoding::Solid, None),
+            (false, ColorMode::Voxel, Encoding::Solid, None),
+            (true, ColorMode::Run, Encoding::Solid, None),
+            (true, ColorMode::Voxel, Encoding::Surface, None),
+            (false, ColorMode::Run, Encoding::Solid, tint.clone()),
+            (true, ColorMode::Voxel, Encoding::Solid, tint),
         ];
-        for (caves, color, encoding) in worlds {
+        for (caves, color, encoding, tint) in worlds {
             let scene = Arc::new(scene(caves, color, encoding));
-            let resident = Arc::new(Resident::new(&scene));
+            let mut resident = Resident::new(&scene);
+            if let Some(tint) = &tint {
+                tint.paint(&mut resident);
+            }
+            let (resident, color) = (Arc::new(resident), if tint.is_some() { ColorMode::None } else { color });
             let mut whole = CpuRenderer::new(&scene, &resident);
             // Told to be heights whether it is or not: caves show otherwise.
             let source = Mock::new(&scene, true);
@@ -1117,14 +1134,15 @@ mod tests {
             {
                 let budget = slots * slot;
                 let mut paged =
-                    Renderer::of_tiles(source.clone(), Device::Cpu, budget, Patience::Wait, &mut |_| ()).unwrap();
+                    Renderer::of_tiles(source.clone(), Device::Cpu, budget, Patience::Wait, tint.clone(), &mut |_| ())
+                        .unwrap();
                 paged.set_count(true);
                 for (i, camera) in cameras().iter().enumerate() {
                     for &lod in lods {
                         let options = Options { lod, ..Options::default() };
                         let expected = whole.render(camera, &options, Outputs { voxel: true }).unwrap();
                         let frame = paged.draw_with(camera, &options, Outputs { voxel: true }, &mut |_| ()).unwrap();
-                        let what = format!("caves {caves}, {color:?}, {encoding:?}, camera {i}, lod {lod:?}");
+                        let what = format!("caves {caves}, {color:?}, {encoding:?}, {tint:?}, camera {i}, lod {lod:?}");
                         assert!(frame.stats.paging.bytes_resident <= budget, "{what}");
                         assert_eq!(frame.stats.paging.lod, lod.unwrap_or(0.0), "{what}");
                         assert!(frame.voxel == expected.voxel, "{what}");
@@ -1150,7 +1168,7 @@ mod tests {
             let source = Mock::new(&scene, !caves);
             source.fails.store(true, Ordering::Relaxed);
             let mut paged =
-                Renderer::of_tiles(source.clone(), Device::Cpu, 64 << 20, Patience::Wait, &mut |_| ()).unwrap();
+                Renderer::of_tiles(source.clone(), Device::Cpu, 64 << 20, Patience::Wait, None, &mut |_| ()).unwrap();
             let camera = cameras()[0];
             let options = Options::default();
             let mut said = Vec::new();
@@ -1176,7 +1194,7 @@ mod tests {
         let mut whole = CpuRenderer::new(&scene, &resident);
         let source = Mock::new(&scene, false);
         let mut paged =
-            Renderer::of_tiles(source, Device::Cpu, 64 << 20, Patience::Deadline(0.0), &mut |_| ()).unwrap();
+            Renderer::of_tiles(source, Device::Cpu, 64 << 20, Patience::Deadline(0.0), None, &mut |_| ()).unwrap();
         let options = Options::default();
         let mut owed = 0;
         for camera in cameras() {
@@ -1228,7 +1246,8 @@ mod tests {
         let camera = Camera { eye, pitch: -90.0, width: 1280, height: 960, ..cameras()[0] };
         let slot = slot_bytes(false, ColorMode::None);
         let draw = |slots: u64| {
-            let mut paged = Renderer::of_tiles(source.clone(), Device::Cpu, slots * slot, Patience::Wait, &mut |_| ())?;
+            let mut paged =
+                Renderer::of_tiles(source.clone(), Device::Cpu, slots * slot, Patience::Wait, None, &mut |_| ())?;
             paged.draw_with(&camera, &Options::default(), Outputs::default(), &mut |_| ())
         };
         let [fine, coarse] = [200, 25].map(|slots| draw(slots).unwrap().stats.paging);

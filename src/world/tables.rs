@@ -111,6 +111,10 @@ pub enum Paint {
     Column {
         colors: Vec<u32>,
     },
+    /// Colour of voxel `y` of any column: `colors[y]`. Of a level that is tinted by height.
+    Height {
+        colors: Vec<u32>,
+    },
     /// Colour of run `k` (from the top down) of column `i`: `colors[base[i] + k]`.
     Run {
         base: Vec<u32>,
@@ -184,7 +188,7 @@ impl Resident {
         let level = |l: &ResidentLevel| {
             let paint = match &l.paint {
                 Paint::None => 0,
-                Paint::Column { colors } => 4 * colors.len(),
+                Paint::Column { colors } | Paint::Height { colors } => 4 * colors.len(),
                 Paint::Run { base, colors } => 4 * (base.len() + colors.len()),
                 Paint::Voxel { base, exposed, colors, .. } => 4 * (base.len() + colors.len()) + 8 * exposed.len(),
             };
@@ -511,7 +515,10 @@ impl Paint {
     pub fn colors(&self) -> &[u32] {
         match self {
             Paint::None => &[UNPAINTED],
-            Paint::Column { colors } | Paint::Run { colors, .. } | Paint::Voxel { colors, .. } => colors,
+            Paint::Column { colors }
+            | Paint::Height { colors }
+            | Paint::Run { colors, .. }
+            | Paint::Voxel { colors, .. } => colors,
         }
     }
 
@@ -522,6 +529,7 @@ impl Paint {
         match self {
             Paint::None => UNPAINTED,
             Paint::Column { colors } => colors[ix],
+            Paint::Height { colors } => colors[y as usize],
             Paint::Run { base, colors } => colors[(base[ix] + k) as usize],
             Paint::Voxel { stride, base, exposed, colors } => {
                 let column = &exposed[base[stride * ix] as usize..base[stride * ix + 1] as usize];

@@ -16,6 +16,7 @@ use planecast::frame::plane_setup::plane_setup;
 use planecast::gpu::Begin;
 use planecast::render::device::{Device, Renderer};
 use planecast::world::pager::Patience;
+use planecast::world::tint::Tint;
 use planecast::world::tree::Tree;
 use planecast::{
     Camera, CpuRenderer, Culling, Features, Frame, GpuOptions, GpuRenderer, Kernel, Normals, Options, Outputs, Planes,
@@ -23,7 +24,7 @@ use planecast::{
 };
 use planecast_encoder::model::matter::{Class, Classes, Matter, Mode};
 use planecast_encoder::source::procedural::{Kind, procedural};
-use planecast_encoder::{BuildOptions, ColorMode, Colors, Columns, Encoding, Input, PcastFile, Scene, build};
+use planecast_encoder::{About, BuildOptions, ColorMode, Colors, Columns, Encoding, Input, PcastFile, Scene, build};
 use std::sync::Arc;
 
 const VOXEL: Outputs = Outputs { voxel: true };
@@ -764,13 +765,31 @@ fn worlds_in_tiles_are_drawn_as_whole_ones() {
         ("colours of heights", terrain(ColorMode::Voxel)),
         ("rocks", world(Kind::Rocks, 600, Encoding::Solid, ColorMode::Voxel)),
         ("run colours", world(Kind::Rocks, 300, Encoding::Surface, ColorMode::Run)),
+        ("tinted heights", terrain(ColorMode::None)),
+        ("tinted rocks", world(Kind::Rocks, 300, Encoding::Solid, ColorMode::Voxel)),
     ];
-    for (name, world) in worlds {
+    for (name, mut world) in worlds {
+        let tint = name.starts_with("tinted").then(|| Tint::new("viridis", &About::default()).unwrap()).flatten();
+        if let Some(tint) = &tint {
+            tint.paint(Arc::make_mut(&mut world.resident));
+            let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
+            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+            for camera in poses(&world).into_iter().take(2) {
+                let expected = cpu.render(&camera, &flat(), VOXEL).unwrap();
+                let frame = gpu.render(&camera, &flat(), VOXEL).unwrap();
+                let differ = |a: &[[i32; 4]], b: &[[i32; 4]]| a.iter().zip(b).filter(|(a, b)| a != b).count();
+                let (voxels, colors) = (
+                    differ(&frame.voxel, &expected.voxel),
+                    frame.color.chunks(4).zip(expected.color.chunks(4)).filter(|(a, b)| a != b).count(),
+                );
+                assert!(colors <= voxels && voxels < frame.voxel.len() / 500, "{name} {camera:?}: {colors}, {voxels}");
+            }
+        }
         let mut file = std::io::Cursor::new(Vec::new());
         let path = std::path::Path::new("tiles.pcast");
         planecast_encoder::format::write::write_scene_to(&world.scene, &mut file, path).unwrap();
         let source = Arc::new(PcastFile::from_bytes(path, file.into_inner()).unwrap());
-        let mut tiles = Renderer::of_tiles(source, Device::Gpu, 256 << 20, Patience::Wait, &mut |_| ()).unwrap();
+        let mut tiles = Renderer::of_tiles(source, Device::Gpu, 256 << 20, Patience::Wait, tint, &mut |_| ()).unwrap();
         let mut whole = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
         let mut uploaded = 0;
         for camera in poses(&world).into_iter().take(2) {

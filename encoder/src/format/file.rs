@@ -617,6 +617,10 @@ impl TileSource for PcastFile {
         self.color
     }
 
+    fn about(&self) -> About {
+        (*self.about).clone()
+    }
+
     fn heights(&self, level: u32) -> [u32; 2] {
         let grid = &self.grids[level as usize];
         heights(&self.entries[grid.first as usize..][..grid.n_tiles() as usize])

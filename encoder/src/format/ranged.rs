@@ -255,6 +255,10 @@ impl TileSource for RangedFile {
         self.outline.color
     }
 
+    fn about(&self) -> About {
+        self.about.clone()
+    }
+
     fn heights(&self, level: u32) -> [u32; 2] {
         let grid: &Grid = &self.outline.grids[level as usize];
         let tiles = grid.first as usize..(grid.first + grid.n_tiles()) as usize;

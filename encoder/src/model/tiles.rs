@@ -1,7 +1,7 @@
 //! A world that is asked for tile by tile: of a file, of a server, or made on the way.
 
 use crate::format::{TILE, grids};
-use crate::{ColorMode, Encoding, Level, Result};
+use crate::{About, ColorMode, Encoding, Level, Result};
 
 /// Whose tiles they are: of level `level` those columns whose number along x starts at `x · TILE`, and along z at `z · TILE`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -37,6 +37,11 @@ pub trait TileSource: Send + Sync {
     }
 
     fn color(&self) -> ColorMode;
+
+    /// What is known of where it came from.
+    fn about(&self) -> About {
+        About::default()
+    }
 
     /// Lowest voxel and one past the highest of a level, in voxels of that level; may be more than there is, never less.
     fn heights(&self, level: u32) -> [u32; 2];

@@ -81,7 +81,8 @@ impl Model {
         voxels.sort_by_key(|v| std::cmp::Reverse(v.0));
         for pair in voxels.windows(2) {
             let [(above, _, below_it), (beneath, _, above_it)] = [pair[0], pair[1]];
-            if above > beneath + 1 {
+            // Not `beneath + 1`: a damaged file has a voxel at 65535 twice.
+            if above - beneath > 1 {
                 match (below_it & FACE_BELOW == 0, above_it & FACE_ABOVE == 0) {
                     (true, true) => self.inside.push((column, Run::new(beneath + 1, above - 1))),
                     (false, false) => {}
@@ -255,4 +256,25 @@ pub(super) fn slab6(path: &Path, bytes: &[u8]) -> Result<InMemory> {
     }
     let rule = format!("{} voxels, 255 is air", spots.len());
     Ok(InMemory::new(cells::input(dims, spots, Vec::new())).about(About { rule, ..about("Slab6 vox") }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::pieces::Pieces;
+
+    /// Found by fuzzing.
+    #[test]
+    fn a_voxel_that_stands_twice_at_the_top_of_a_column_fills_nothing() {
+        let mut model = Model::new(Path::new("m.kvx"), [1, 1, 1 << 16]).unwrap();
+        model.column(
+            0,
+            0,
+            &mut [(u16::MAX, [1; 3], FACE_ABOVE), (u16::MAX, [2; 3], FACE_ABOVE), (9, [3; 3], FACE_BELOW)],
+        );
+        assert_eq!((model.inside.len(), model.disputed), (1, 0));
+        assert_eq!(model.inside[0], (0, Run::new(10, u16::MAX - 1)));
+        let input = model.finish(About::default());
+        assert_eq!(input.dims(), [1, 1 << 16, 1]);
+    }
 }

@@ -116,7 +116,7 @@ use crate::{About, Error, Input, Result};
 
 pub use blocks::{BlockArray, Blocks, blocks};
 pub use npy::{ArrayView, array};
-pub use relief::Exaggeration;
+pub use relief::{Exaggeration, Ramp, RampTable};
 
 /// Highest column that a scene can hold, in voxels.
 pub const MAX_HEIGHT: u64 = 65_536;
@@ -176,7 +176,7 @@ pub struct ReadOptions {
     /// Heights of a PNG or TIFF that its colours code, as web maps have them
     #[arg(long, value_enum, value_name = "CODE")]
     pub rgb: Option<HeightCode>,
-    /// Colours of a height map that has none, by height, or of a volume, by value: terrain, grey, viridis, cividis, magma, inferno, plasma, turbo, none, or a
+    /// Colours of a height map that has none, or of a scene, by height; of a volume, by value: terrain, grey, viridis, cividis, magma, inferno, plasma, turbo, none, or a
     /// file as gdaldem color-relief reads it
     #[arg(long, value_name = "NAME|FILE")]
     pub ramp: Option<String>,

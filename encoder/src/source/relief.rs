@@ -70,9 +70,9 @@ enum At {
     Share(f64),
 }
 
-/// Colours by height, not yet of a map.
+/// Colours by height, not yet of a map: `--ramp`.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Ramp {
+pub struct Ramp {
     stops: Vec<(At, Rgb)>,
     /// Whether slopes and hollows show.
     land: bool,
@@ -80,6 +80,9 @@ pub(super) struct Ramp {
 
 impl Ramp {
     /// By name, or from a file; None for "none".
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where nothing has that name; what is wrong with the file, and where.
     pub fn find(name: &str) -> Result<Option<Ramp>> {
         let named = match name {
             "none" => return Ok(None),
@@ -107,15 +110,20 @@ impl Ramp {
         }))
     }
 
+    /// Whether a stop has a height, not a share of the relief.
+    pub fn names_heights(&self) -> bool {
+        self.stops.iter().any(|(at, _)| matches!(at, At::Value(_)))
+    }
+
     /// Colours of heights from `low` to `high`.
-    pub fn over(&self, low: f64, high: f64) -> Table {
+    pub fn over(&self, low: f64, high: f64) -> RampTable {
         let value = |at: At| match at {
             At::Value(v) => v,
             At::Share(t) => low + t * (high - low),
         };
         let mut stops: Vec<(f64, [f64; 3])> = self.stops.iter().map(|&(at, c)| (value(at), c.map(f64::from))).collect();
         stops.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Table { stops, land: self.land }
+        RampTable { stops, land: self.land }
     }
 }
 
@@ -150,12 +158,13 @@ fn stops(path: &Path, text: &[u8]) -> Result<Vec<(At, Rgb)>> {
 
 /// Colours of the heights of one map.
 #[derive(Clone, Debug)]
-pub(super) struct Table {
+pub struct RampTable {
     stops: Vec<(f64, [f64; 3])>,
     land: bool,
 }
 
-impl Table {
+impl RampTable {
+    /// Red, green and blue, 0 to 255, of a height.
     pub fn tint(&self, height: f64) -> [f64; 3] {
         let next = self.stops.partition_point(|s| s.0 <= height);
         match (next.checked_sub(1).map(|i| self.stops[i]), self.stops.get(next)) {
@@ -171,7 +180,7 @@ impl Table {
 
 /// Colours of a map's columns.
 pub(super) struct Colors<'a> {
-    pub table: &'a Table,
+    pub table: &'a RampTable,
     pub heights: &'a Heights,
     /// Widths of a pixel, x and z, in the unit of the heights.
     pub pixel: [f64; 2],

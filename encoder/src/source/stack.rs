@@ -173,7 +173,7 @@ fn in_one_piece(path: &Path, tiff: &Tiff, main: usize, format: &'static str, axe
     };
     let end = of.byte_len().checked_mul(n).and_then(|len| len.checked_add(start));
     if end.is_none_or(|end| end > tiff.all.len() as u64) {
-        let whole = (tiff.all.len() as u64 - start) / of.byte_len();
+        let whole = (tiff.all.len() as u64).saturating_sub(start) / of.byte_len();
         let what = format!("{format}: {n} slices from byte {start} on, the file ends after {whole}");
         return Err(Error::format(path, what));
     }

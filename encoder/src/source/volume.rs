@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use super::measure::{Meant, Measured, Paint, Solid};
 use super::place::{self, Along, Oriented, Place};
-use super::relief::{Ramp, Table};
+use super::relief::{Ramp, RampTable};
 use super::{Dtype, ReadOptions, Up, world_dims};
 use crate::model::about::{Kind, Short};
 use crate::model::exposure;
@@ -382,7 +382,7 @@ pub(super) struct Volume<'a> {
     solid: Solid,
     paint: Paint,
     /// In place of the colours of [`Paint::Ramp`]: those of `--ramp`, over the values and as shares of them.
-    ramp: Option<Arc<[Table; 2]>>,
+    ramp: Option<Arc<[RampTable; 2]>>,
     dims: [u32; 3],
     /// The file's axis of world x, y, z.
     axes: [usize; 3],

@@ -610,6 +610,7 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
                 }
                 Paint::None => (0, u32::MAX),
                 Paint::Column { .. } => (item.column, u32::MAX),
+                Paint::Height { .. } => (0, 0),
                 Paint::Run { base, .. } => (base[item.column as usize], u32::MAX),
             };
             let of_top = start + (item.height - 1).saturating_sub(hidden);

@@ -59,7 +59,7 @@ pub fn report(
     tell: &mut dyn FnMut(&str),
 ) -> Result<Option<String>> {
     check_folder(job.folder)?;
-    let file = planecast_encoder::cli::open(scene, read)?.file;
+    let file = planecast_encoder::cli::open(scene, read, false)?.file;
     let content = info::info(&file)?.content_hash;
     let world = World::new(file.read_scene()?);
     drop(file);

@@ -187,6 +187,10 @@ fn imagej_stacks_with_one_directory_are_whole() {
     assert_slices(&read("a.tif", &bytes, ""), &[0, 1, 2, 3, 4, 5]);
     let e = error("a.tif", &bytes[..bytes.len() - 1], "--format stack");
     assert!(e.contains("6 slices from byte") && e.contains("ends after 5"), "{e}");
+    // Found by fuzzing: slices said to stand beyond the end.
+    let beyond = first.with(273, Tag::Long(vec![1 << 20])).with(279, Tag::Long(vec![(W * H) as u32]));
+    let e = error("a.tif", &tiff(true, &[beyond], &[]), "--format stack");
+    assert!(e.contains("ends after 0"), "{e}");
     // Of channels, the first of each slice.
     let first = Dir::new(8, slice(0)).text("ImageJ=1.53t\nimages=6\nchannels=2\nslices=3\nhyperstack=true\n");
     let bytes = tiff(true, &[first], &rest);

@@ -29,13 +29,13 @@ pub struct ZarrTiles {
 
 impl ZarrTiles {
     /// The image or array at `path`. None where it must be read as a whole first: what is solid is found from all its values without
-    /// --iso, and voxels that are no cubes are made to be, without --spacing as-is.
+    /// --iso, and voxels that are no cubes are made to be, without --spacing as-is; colours of --ramp come from values.
     pub fn open(path: &Path, opts: &ReadOptions) -> Result<Option<ZarrTiles>> {
-        if opts.iso.is_none() {
+        if opts.iso.is_none() || opts.ramp.is_some() {
             return Ok(None);
         }
         let (folder, image) = find(path)?;
-        let opts = ReadOptions { ramp: None, show: false, size: None, ..opts.clone() };
+        let opts = ReadOptions { show: false, size: None, ..opts.clone() };
         let first = look(&folder, image, &opts)?;
         let cubes = first.about().voxel.is_none_or(|[x, y, z]| x == y && y == z);
         if !cubes && opts.spacing != Some(Spacing::AsIs) {
