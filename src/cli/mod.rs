@@ -1018,7 +1018,7 @@ impl RenderArgs {
                 let mut renderer = self.draw.renderer(&scene, &resident)?;
                 frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
                 if self.annotate {
-                    annotate(&mut frame, &camera, &scene, &resident, &surface.about);
+                    annotate(&mut frame, &camera, &resident, &surface.about);
                 }
                 (dims, about) = (scene.dims(), surface.about);
             }
@@ -1266,7 +1266,7 @@ impl FlyArgs {
             Held::Whole { scene, surface } => {
                 let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options)?;
                 let renderer = self.draw.renderer(&scene, &resident)?;
-                whole = Some((scene, resident, surface.about));
+                whole = Some((resident, surface.about));
                 renderer
             }
             Held::Tiles(tiles) => self.draw.residency.renderer(&tiles, self.draw.device)?,
@@ -1300,8 +1300,8 @@ impl FlyArgs {
             if let Some(timeline) = &mut timeline {
                 timeline.push(film.range.end - cameras.len(), at.elapsed().as_secs_f64() * 1e3, &frame.stats);
             }
-            if let (true, Some((scene, resident, about))) = (self.annotate, &whole) {
-                annotate(&mut frame, &cameras[0], scene, resident, about);
+            if let (true, Some((resident, about))) = (self.annotate, &whole) {
+                annotate(&mut frame, &cameras[0], resident, about);
             }
             Ok(frame)
         };

@@ -6,9 +6,9 @@
 
 use crate::frame::camera::Camera;
 use crate::frame::picture::Frame;
-use planecast_encoder::{About, ColorMode, Scene};
+use planecast_encoder::About;
 
-use crate::world::tables::Resident;
+use crate::world::tables::{Paint, Resident};
 
 /// Rows of a glyph, 5 pixels each, the leftmost in the highest bit, in the order of [`LETTERS`].
 const GLYPHS: [[u8; 7]; 42] = [
@@ -119,7 +119,7 @@ fn measure(value: f64, unit: &str) -> String {
 }
 
 /// Draws bar, arrow and legend on a picture.
-pub fn annotate(frame: &mut Frame, camera: &Camera, scene: &Scene, resident: &Resident, about: &About) {
+pub fn annotate(frame: &mut Frame, camera: &Camera, resident: &Resident, about: &About) {
     let scale = ((frame.height.min(frame.width) / 300) as i32).max(1);
     let (w, h) = (frame.width as i32, frame.height as i32);
     let margin = 8 * scale;
@@ -137,7 +137,7 @@ pub fn annotate(frame: &mut Frame, camera: &Camera, scene: &Scene, resident: &Re
         sheet.write([x, y - 11 * scale], &measure(length, unit));
     }
     north(&mut sheet, camera, [w - margin - 14 * scale, margin + 20 * scale]);
-    legend(&mut sheet, scene, resident, about, [margin, margin]);
+    legend(&mut sheet, resident, about, [margin, margin]);
 }
 
 /// An arrow from `centre` to where −z lies as seen from above, the view's own direction up.
@@ -166,8 +166,8 @@ fn north(sheet: &mut Sheet<'_>, camera: &Camera, centre: [i32; 2]) {
 }
 
 /// Colours by height, where a height field has any.
-fn legend(sheet: &mut Sheet<'_>, scene: &Scene, resident: &Resident, about: &About, at: [i32; 2]) {
-    if !resident.heights || scene.color == ColorMode::None {
+fn legend(sheet: &mut Sheet<'_>, resident: &Resident, about: &About, at: [i32; 2]) {
+    if !resident.heights || matches!(resident.levels[0].paint, Paint::None) {
         return;
     }
     let level = &resident.levels[0];
@@ -250,7 +250,7 @@ mod tests {
         let options = Options { shading: crate::Shading::None, ..Options::default() };
         let mut frame = renderer.render(&camera, &options, Outputs::default()).unwrap();
         let about = About { voxel: Some([3.0; 3]), unit: "m".into(), ..About::default() };
-        annotate(&mut frame, &camera, &scene, &resident, &about);
+        annotate(&mut frame, &camera, &resident, &about);
         let at = |x: i32, y: i32| {
             let c = frame.color[(y * 600 + x) as usize];
             [c[0], c[1], c[2]]

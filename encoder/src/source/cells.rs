@@ -9,11 +9,10 @@ use super::world_dims;
 use crate::model::pieces::InMemory;
 use crate::{About, Colors, ColumnsBuilder, Error, Input, Result, Rgb, Run};
 
-/// Most columns of a model: few bytes can place two voxels very far apart.
-const MAX_COLUMNS: u64 = 1 << 26;
+/// Most columns of a model: few bytes can place two voxels very far apart. Fuzzing wants many small models.
+const MAX_COLUMNS: u64 = if cfg!(fuzzing) { 1 << 14 } else { 1 << 26 };
 /// Columns, and columns a voxel, beyond which parts that a file places lie too far apart to be meant so.
-/// (fuzzing wants many small files)
-const MANY_COLUMNS: u64 = if cfg!(fuzzing) { 1 << 12 } else { 1 << 22 };
+const MANY_COLUMNS: u64 = 1 << 22;
 const COLUMNS_A_VOXEL: u64 = 1024;
 /// Most voxels of formats that can say many in a few bytes.
 const MAX_PLACED: usize = if cfg!(fuzzing) { 1 << 14 } else { 1 << 26 };

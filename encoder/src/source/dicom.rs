@@ -8,7 +8,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use dicom_object::{DefaultDicomObject, InMemDicomObject, OpenFileOptions, Tag};
+use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
+use dicom_object::{DefaultDicomObject, InMemDicomObject, OpenFileOptions, StandardDataDictionary, Tag};
 use dicom_pixeldata::PixelDecoder;
 
 use super::place::Place;
@@ -192,13 +193,16 @@ fn open(path: &Path, head: bool) -> Result<DefaultDicomObject> {
     })
 }
 
-/// Holds the lengths of all elements against the file's, since the crate takes memory for what each claims.
+/// Holds the lengths of all elements against the file's, since the crate takes memory for what each claims; and against the sizes
+/// of their values, since it goes on after the last whole one and takes what is left for an element.
 fn check(path: &Path, bytes: &[u8]) -> Result<()> {
     let fail = |at: usize, what: String| Error::format(path, format!("byte {at}: {what}"));
     if bytes.get(128..132) != Some(b"DICM") {
         return Err(fail(128, "expected DICM, so this is no DICOM file".to_owned()));
     }
-    let short = |(at, claims)| fail(at, format!("an element of {claims} bytes, the file holds fewer"));
+    let short = |(at, claims)| {
+        fail(at, format!("an element of {claims} bytes: more than the file holds, or no whole number of values"))
+    };
     let meta = Walk { bytes, big_endian: false, explicit: true };
     let (mut at, mut syntax) = (132, String::new());
     while meta.number(at, 2) == Some(2) {
@@ -232,6 +236,16 @@ struct Walk<'a> {
     explicit: bool,
 }
 
+/// Bytes of one value of a type.
+fn size_of_value(kind: [u8; 2]) -> u64 {
+    match &kind {
+        b"US" | b"SS" | b"OW" => 2,
+        b"AT" | b"UL" | b"SL" | b"FL" | b"OF" | b"OL" => 4,
+        b"FD" | b"OD" | b"OV" | b"SV" | b"UV" => 8,
+        _ => 1,
+    }
+}
+
 /// Where an element is, and the bytes that it claims.
 type Claim = (usize, u64);
 
@@ -249,8 +263,13 @@ impl Walk<'_> {
     fn header(&self, at: usize) -> Option<(u64, [u8; 2], usize, u64)> {
         let tag = self.number(at, 2)? << 16 | self.number(at + 2, 2)?;
         // Items and delimiters have no type.
-        if tag >> 16 == 0xfffe || !self.explicit {
+        if tag >> 16 == 0xfffe {
             return Some((tag, *b"??", at + 8, self.number(at + 4, 4)?));
+        }
+        if !self.explicit {
+            let known = StandardDataDictionary.by_tag(Tag((tag >> 16) as u16, tag as u16));
+            let kind = known.map_or(*b"UN", |entry| entry.vr().relaxed().to_bytes());
+            return Some((tag, kind, at + 8, self.number(at + 4, 4)?));
         }
         let kind: [u8; 2] = self.bytes.get(at + 4..at + 6)?.try_into().ok()?;
         // Types that are not known have long lengths, too.
@@ -273,8 +292,11 @@ impl Walk<'_> {
                 return Ok(from);
             }
             let pixels = tag == 0x7fe0_0010;
-            let fits = len == UNDEFINED || (from as u64).checked_add(len).is_some_and(|to| to <= end as u64);
-            if !fits || depth > 32 {
+            let to = (from as u64).checked_add(len);
+            let fits = len == UNDEFINED || to.is_some_and(|to| to <= end as u64);
+            // At the end, nothing comes that could be taken for something else.
+            let whole = len == UNDEFINED || len.is_multiple_of(size_of_value(kind)) || to == Some(end as u64);
+            if !fits || !whole || depth > 32 {
                 return Err((at, len));
             }
             let items = || self.number(from, 2) == Some(0xfffe) && self.number(from + 2, 2) == Some(0xe000);

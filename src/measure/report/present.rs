@@ -565,7 +565,9 @@ fn result(plan: &Plan<'_>, rows: &[Row]) -> String {
     match find("lod off") {
         Some(exact) => {
             text += &format!(
-                "; its colours are off by a FLIP of {:.4}, of which {:.4} are the method's and the rest is that of coarser levels far away.",
+                ", and with --lod off in {:.3} %: the rest are coarser levels far away. Its colours are off by a FLIP of {:.4}, of \
+                 which {:.4} are the method's and the rest the levels'.",
+                exact.other(),
                 usual.flip(),
                 exact.flip().min(usual.flip())
             )

@@ -348,3 +348,18 @@ fn rle_of_other_than_a_segment_per_byte_is_refused() {
     let e = opened(&wrong).err().unwrap();
     assert!(e.contains(&format!("RLE of {} segments; {} were expected", wrong[at], good[at])), "{e}");
 }
+
+/// Found by fuzzing: what is left of a value was taken for the next element.
+#[test]
+fn elements_of_parts_of_values_are_refused() {
+    let read = |kind: &str, syntax: &'static str| {
+        let mut slice = Slice::at(0.0, slice(0));
+        slice.more = element((0x0028, 0x0106), kind, &[1, 0]);
+        slice.syntax = syntax;
+        let dir = folder(&[slice]);
+        open(dir.path(), &opts("--iso 1")).map(drop).map_err(|e| e.to_string())
+    };
+    read("SS", "1.2.840.10008.1.2.1").unwrap();
+    let e = read("SL", "1.2.840.10008.1.2.1").unwrap_err();
+    assert!(e.contains("an element of 2 bytes") && e.contains("no whole number of values"), "{e}");
+}
