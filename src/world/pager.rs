@@ -289,8 +289,7 @@ impl Pager {
     /// Those of the coarsest tiles; [`Error::Limit`] where the budget does not hold as much as a tile a level.
     pub fn new(source: Arc<dyn TileSource>, budget: u64, tint: Option<Tint>) -> Result<(Pager, Resident)> {
         let source = if tint.is_some() { Arc::new(Uncolored(source)) } else { source };
-        // Until a tile shows otherwise: the coarsest come first, and tell of most worlds.
-        let heights = true;
+        let heights = source.is_height_field();
         let fetcher = Fetcher::new(Arc::clone(&source));
         let mut pager = Pager {
             source,
