@@ -178,9 +178,9 @@ impl Overlay<'_> {
         let power = 10f64.powf(most.log10().floor());
         let nice = [5.0, 2.0, 1.0].into_iter().map(|n| n * power).find(|n| *n <= most).unwrap_or(power);
         let long = (nice / side * voxel) as f32;
-        // Above the line that tells what is under the mouse.
-        let end = self.area.center_bottom() + vec2(long / 2.0, -ABOVE_WORDS);
-        let start = end - vec2(long, 0.0);
+        // Above the line that tells what is under the mouse; messages stand to the right.
+        let start = self.area.left_bottom() + vec2(14.0, -ABOVE_WORDS);
+        let end = start + vec2(long, 0.0);
         for (wide, color) in [(4.0, Color32::BLACK), (2.0, Color32::WHITE)] {
             let line = Stroke::new(wide, color);
             paint.line_segment([start, end], line);
@@ -189,7 +189,7 @@ impl Overlay<'_> {
             }
         }
         let text = length(nice, unit);
-        shadowed(paint, self.area.center_bottom() - vec2(0.0, ABOVE_WORDS + 6.0), Align2::CENTER_BOTTOM, &text);
+        shadowed(paint, start - vec2(0.0, 6.0), Align2::LEFT_BOTTOM, &text);
     }
 
     fn compass(&self, paint: &Painter) {
@@ -247,9 +247,13 @@ fn shadowed(paint: &Painter, at: Pos2, align: Align2, text: &str) {
 /// Words on a dark ground.
 fn words(paint: &Painter, at: Pos2, align: Align2, text: &str) {
     let galley = paint.layout_no_wrap(text.to_owned(), FontId::proportional(13.0), Color32::WHITE);
-    let rect = align.anchor_size(at, galley.size());
-    paint.rect_filled(rect.expand(5.0), 4.0, Color32::from_black_alpha(190));
-    paint.galley(rect.min, galley, Color32::WHITE);
+    let ground = align.anchor_size(at, galley.size()).expand(5.0);
+    // Whole at the picture's edges too.
+    let picture = paint.clip_rect();
+    let right = (picture.right() - ground.right()).min(0.0).max(picture.left() - ground.left());
+    let ground = ground.translate(vec2(right, (picture.top() - ground.top()).max(0.0)));
+    paint.rect_filled(ground, 4.0, Color32::from_black_alpha(190));
+    paint.galley(ground.shrink(5.0).min, galley, Color32::WHITE);
 }
 
 #[cfg(test)]
