@@ -491,6 +491,32 @@ fn path_files_may_begin_with_a_byte_order_mark() {
 }
 
 #[test]
+fn cli_ramp_tints_a_scene_whole_or_in_tiles() {
+    let dir = workplace();
+    let heights: Vec<u8> = (0..600 * 500u32).map(|i| (20.0 + 15.0 * (i % 600) as f32 / 600.0) as u8).collect();
+    image::GrayImage::from_raw(600, 500, heights).unwrap().save(dir.path().join("h.png")).unwrap();
+    succeeds(dir.path(), "encode h.png -o h.pcast");
+    let picture = |name: &str, flags: &str| {
+        let command =
+            format!("render h.pcast -o {name} --size 160x120 --device cpu --shading none --smooth off {flags}");
+        let output = planecast(dir.path(), &command);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let pixels = image::open(dir.path().join(name)).unwrap().into_rgb8().into_raw();
+        (pixels, String::from_utf8(output.stderr).unwrap())
+    };
+    let (plain, said) = picture("plain.png", "");
+    assert!(said.contains("--ramp terrain"), "{said}");
+    let (whole, said) = picture("whole.png", "--ramp viridis");
+    assert!(!said.contains("--ramp"), "{said}");
+    assert!(plain != whole && whole.chunks(3).any(|p| p[0] != p[1]));
+    assert!(picture("tiles.png", "--ramp viridis --residency paged").0 == whole);
+    assert!(picture("none.png", "--ramp none").0 == plain);
+    let output = planecast(dir.path(), "render h.pcast -o no.png --ramp nothing");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no ramp of"));
+}
+
+#[test]
 fn commands_take_inputs_as_well_as_scenes() {
     let dir = workplace();
     let volume: Vec<u8> = (0..20 * 30 * 10u32).map(|i| u8::from(i % 20 >= 5)).collect();
