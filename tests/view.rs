@@ -324,6 +324,24 @@ fn window_records_what_fly_flies_maps_errors_and_remembers_the_view() {
 }
 
 #[test]
+fn window_tints_land_without_colours_and_its_command_does_too() {
+    let place = Place::new();
+    let heights = image::GrayImage::from_fn(96, 80, |x, y| image::Luma([(20 + x / 4 + y / 5) as u8]));
+    heights.save(place.path("h.png")).unwrap();
+    place.succeeds("encode h.png -o h.pcast");
+    let script = place.script(json!([
+        {"t": 0.2, "screenshot": "shot.png"},
+        {"t": 0.4, "quit": {}},
+    ]));
+    let printed = place.succeeds(&format!("view h.pcast --window 240x160 --device cpu {script}"));
+    assert!(printed.contains("h.pcast --ramp terrain"), "{printed}");
+    place.again(printed.trim());
+    let (shot, again) = (place.picture("shot.png").1, place.picture("again.png").1);
+    assert!(shot.iter().any(|p| p[1] > p[2]), "land is green, neither grey nor sky");
+    assert_eq!(pictures(&shot, &again), Difference::default());
+}
+
+#[test]
 fn window_orbits_a_volume_moves_its_threshold_and_measures() {
     let place = Place::new();
     const N: usize = 24;

@@ -942,7 +942,7 @@ impl Surface {
         let content = info::content_hash(&opened.file);
         // An input has them by now.
         let ramp = read.ramp.as_deref().filter(|_| !opened.encoded);
-        let tint = ramp.map(|name| Tint::new(name, &about)).transpose()?.flatten();
+        let tint = Tint::asked(ramp, &about)?;
         let plain = is_plain(&about, opened.file.color()) && !opened.encoded && read.ramp.is_none();
         Ok(Surface { stands: is_surface(&about, opened.encoded), about, content, tint, plain })
     }

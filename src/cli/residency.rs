@@ -70,7 +70,7 @@ pub struct Tiles {
 }
 
 fn tiles_of(source: Arc<dyn TileSource>, read: &ReadOptions) -> Result<Held> {
-    let tint = read.ramp.as_deref().map(|name| Tint::new(name, &source.about())).transpose()?.flatten();
+    let tint = Tint::asked(read.ramp.as_deref(), &source.about())?;
     let preview = Preview::new(&*source)?;
     Ok(Held::Tiles(Tiles { source, preview, tint }))
 }

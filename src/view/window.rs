@@ -759,7 +759,10 @@ impl App {
             Some(world) if world.encoded => {
                 format!("{} {}", quoted(&world.path), self.tune.flags()).trim_end().to_owned()
             }
-            Some(world) => quoted(&world.path),
+            Some(world) => {
+                let ramp = world.ramp.as_ref().map(|ramp| format!(" --ramp {}", quoted(Path::new(ramp))));
+                quoted(&world.path) + &ramp.unwrap_or_default()
+            }
             None => "SCENE".to_owned(),
         }
     }

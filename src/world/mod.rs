@@ -53,6 +53,8 @@ pub struct World {
     pub about: About,
     /// Facts about the reading of an input.
     pub notes: Vec<String>,
+    /// The ramp of which a scene has its colours, instead of its own.
+    pub ramp: Option<String>,
 }
 
 /// How a file is opened.
@@ -101,7 +103,7 @@ impl World {
         let (content_hash, bytes) = info.map_or_else(Default::default, |i| (i.content_hash, i.bytes));
         let scene = Arc::new(scene);
         let (path, notes) = (path.to_owned(), Vec::new());
-        Ok(World { path, encoded, smooth, scene, resident, content_hash, bytes, about, notes })
+        Ok(World { path, encoded, smooth, scene, resident, content_hash, bytes, about, notes, ramp: None })
     }
 
     /// From the bytes of a scene file or of an input; `name` is what errors call it, and its ending may tell its format.
@@ -128,7 +130,7 @@ impl World {
         let resident = Arc::new(Resident::try_with(&scene, Features::ALL)?);
         let (content_hash, bytes, about, notes) = Default::default();
         let (path, scene) = (name.to_owned(), Arc::new(scene));
-        Ok(World { path, encoded: true, smooth: false, scene, resident, content_hash, bytes, about, notes })
+        Ok(World { path, encoded: true, smooth: false, scene, resident, content_hash, bytes, about, notes, ramp: None })
     }
 
     /// A height field from memory: `heights[z · nx + x]` voxels from the ground up, 0 for an empty column.
@@ -195,12 +197,12 @@ impl World {
         // An input has the ramp's colours by now.
         let plain = is_plain(&world.about, world.scene.color);
         let ramp = how.read.ramp.as_deref().or((how.read.show && plain).then_some("terrain"));
-        if let Some(name) = ramp.filter(|_| !opened.encoded)
-            && let Some(tint) = Tint::new(name, &world.about)?
-        {
+        let ramp = ramp.filter(|_| !opened.encoded);
+        if let Some(tint) = Tint::asked(ramp, &world.about)? {
             tint.paint(Arc::get_mut(&mut world.resident).expect("nobody else has the tables yet"));
         }
-        Ok(World { notes, ..world })
+        let ramp = ramp.map(str::to_owned);
+        Ok(World { notes, ramp, ..world })
     }
 
     /// What [`planecast_encoder::encode::open::open`] found at `path`.

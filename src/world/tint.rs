@@ -36,6 +36,14 @@ impl Tint {
         Ok(Some(Tint { ramp, floor, voxel }))
     }
 
+    /// The ramp that was asked for, if any was.
+    ///
+    /// # Errors
+    /// Those of [`Tint::new`].
+    pub fn asked(ramp: Option<&str>, about: &About) -> Result<Option<Tint>> {
+        ramp.map_or(Ok(None), |name| Tint::new(name, about))
+    }
+
     /// Gives the levels of a resident world the ramp's colours.
     pub fn paint(&self, resident: &mut Resident) {
         let [low, high] = range(resident).map(|y| self.floor + self.voxel * f64::from(y));

@@ -81,7 +81,7 @@ impl Model {
         voxels.sort_by_key(|v| std::cmp::Reverse(v.0));
         for pair in voxels.windows(2) {
             let [(above, _, below_it), (beneath, _, above_it)] = [pair[0], pair[1]];
-            // Not `beneath + 1`: a damaged file has a voxel at 65535 twice.
+            // Not `beneath + 1`: a damaged file may have two voxels at 65535.
             if above - beneath > 1 {
                 match (below_it & FACE_BELOW == 0, above_it & FACE_ABOVE == 0) {
                     (true, true) => self.inside.push((column, Run::new(beneath + 1, above - 1))),

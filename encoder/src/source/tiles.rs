@@ -59,7 +59,8 @@ mod files {
             std::fs::read(name).map_err(|e| Error::io(name, "read", e))?
         };
         let name = remote::shown(name);
-        let opts = opts.clone();
+        // Colours by height are the world's, not each sheet's.
+        let opts = ReadOptions { ramp: None, ..opts.clone() };
         let manifest = Manifest::parse(&name, &text)?;
         let open = move |file: &Path| {
             let nested = remote::shown(file).extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld"));

@@ -349,7 +349,7 @@ fn rle_of_other_than_a_segment_per_byte_is_refused() {
     assert!(e.contains(&format!("RLE of {} segments; {} were expected", wrong[at], good[at])), "{e}");
 }
 
-/// Found by fuzzing: what is left of a value was taken for the next element.
+/// Found by fuzzing: dicom-parser 0.10.1 takes what is left of a value for the next element.
 #[test]
 fn elements_of_parts_of_values_are_refused() {
     let read = |kind: &str, syntax: &'static str| {
