@@ -10,6 +10,7 @@ struct Level {
     blocks_row: u32,
     bottom: i32,
     top: i32,
+    // NONE: this level has a colour a column, though others have more.
     paint: u32,
     exposed: u32,
     colors: u32,
@@ -117,7 +118,16 @@ fn in_world(l: u32, cell: vec2<i32>) -> bool {
     return (within.x || frame.repeat_x == 1u) && (within.y || frame.repeat_z == 1u);
 }
 
-// Colour of voxel `y` in run number `k` (from the top down) of column number `ix`: `Paint::color`.
+// Where the starts of column number `ix` stand among its level's: a slot has one more than columns.
+fn start_at(l: u32, ix: u32) -> u32 {
+//!if PAGED
+    return levels[l].paint + ix + (ix >> (2u * TILE_SHIFT));
+//!else
+    return levels[l].paint + ix;
+//!endif
+}
+
+// Colour of voxel `y` in run number `k` (from the top down) of column number `ix`: `ResidentLevel::color`.
 fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
     if (PAINT == PAINT_COLUMN) {
         return paint(levels[l].colors + ix);
@@ -125,21 +135,28 @@ fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
     if (PAINT == PAINT_HEIGHT) {
         return paint(levels[l].colors + y);
     }
+//!if HEIGHTS
+    if (PAINT == PAINT_TOP) {
+        if (levels[l].paint == NONE) {
+            return paint(levels[l].colors + ix);
+        }
+        let at = start_at(l, ix);
+        let start = paint(at);
+        let n = paint(at + 1u) - start;
+        if (n == 0u) {
+            return UNPAINTED;
+        }
+        let hidden = max(voxels(l, ix), n) - n;
+        return paint(levels[l].colors + start + max(y, hidden) - hidden);
+    }
+//!else
     if (PAINT == PAINT_RUN) {
         return paint(levels[l].colors + paint(levels[l].paint + ix) + k);
     }
     if (PAINT == PAINT_VOXEL) {
-        if (levels[l].exposed == NONE) {
-            // All voxels of a column have its colour.
-            return paint(levels[l].colors + ix);
-        }
-//!if PAGED
-        let at_starts = levels[l].paint + 2u * ix;
-//!else
-        let at_starts = levels[l].paint + ix;
-//!endif
-        let start = paint(at_starts);
-        let to = paint(at_starts + 1u);
+        let at = start_at(l, ix);
+        let start = paint(at);
+        let to = paint(at + 1u);
         if (start == to) {
             return UNPAINTED;
         }
@@ -154,10 +171,11 @@ fn paint_color(l: u32, ix: u32, k: u32, y: u32) -> u32 {
                 hi = mid;
             }
         }
-        let at = levels[l].exposed + 2u * lo;
-        let found = vec2(paint(at), paint(at + 1u));
+        let run_at = levels[l].exposed + 2u * lo;
+        let found = vec2(paint(run_at), paint(run_at + 1u));
         let first = found.x & 0xffffu;
         return paint(levels[l].colors + found.y + clamp(y, first, found.x >> 16u) - first);
     }
+//!endif
     return UNPAINTED;
 }

@@ -215,8 +215,7 @@ pub fn exact(
                 None => (color[c], depth[c], voxel[c]) = (0, f32::INFINITY, [-1; 4]),
                 Some(hit) => {
                     let n = columns.range(hit.column).len();
-                    color[c] =
-                        resident.levels[0].paint.color(hit.column, (n - 1 - hit.run) as u32, hit.voxel[1] as u32);
+                    color[c] = resident.levels[0].color(hit.column, (n - 1 - hit.run) as u32, hit.voxel[1] as u32);
                     depth[c] = hit.t as f32;
                     voxel[c] = [hit.voxel[0] as i32, hit.voxel[1] as i32, hit.voxel[2] as i32, 0];
                 }

@@ -16,6 +16,7 @@ pub mod shadow;
 pub mod smooth;
 pub mod sphere;
 pub mod traverse;
+pub mod usage;
 
 use rayon::iter::plumbing::{Consumer, Producer, ProducerCallback, UnindexedConsumer, bridge};
 use rayon::prelude::*;

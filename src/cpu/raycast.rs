@@ -227,7 +227,7 @@ impl Rays<'_> {
                 let y = within[1] as u32;
                 // Runs are numbered from the top down.
                 let run = level.column(ix).position(|run| u32::from(run.first()) <= y).unwrap_or(0);
-                let color = level.paint.color(ix, run as u32, y);
+                let color = level.color(ix, run as u32, y);
                 return Some(Met {
                     voxel: [cell[0], cell[1], cell[2], l as i32],
                     depth: q.clamp(0.0, f32::MAX),

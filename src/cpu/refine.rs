@@ -183,7 +183,7 @@ impl<'a> Walk<'a> {
                         if turn == 0 && depth == q0 && q0 > 0.0 {
                             return Stretch::Inside;
                         }
-                        let color = self.level.paint.color(ix, run, y as u32);
+                        let color = self.level.color(ix, run, y as u32);
                         return Stretch::Met(Met { voxel: [cell[0], y, cell[1], 0], depth, color });
                     }
                 }

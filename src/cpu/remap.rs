@@ -457,7 +457,7 @@ pub fn color_of(resident: &Resident, [x, y, z, l]: [i32; 4]) -> u32 {
     let Some(level) = resident.levels.get(l as usize) else { return 0 };
     // Whole periods away where the world repeats.
     let wrap = |v: i32, n: u32| if (v as u32) < n { v as u32 } else { v.rem_euclid(n as i32) as u32 };
-    level.paint.color(level.index(wrap(x, level.nx), wrap(z, level.nz)), 0, y as u32)
+    level.color(level.index(wrap(x, level.nx), wrap(z, level.nz)), 0, y as u32)
 }
 
 pub(super) const BLOCK: usize = COLUMNS_A_BLOCK as usize;

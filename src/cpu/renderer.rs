@@ -12,8 +12,9 @@ use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
 use crate::frame::options::{Normals, Options, Planes, Remap, SAMPLES_LIMIT, SSAO_SAMPLES_LIMIT, Shading};
 use crate::frame::picture::{Frame, PagingStats, StageTimes, Stats};
+use crate::frame::plan::FramePlan;
 use crate::frame::plane_setup::sphere::Layout;
-use crate::frame::plane_setup::{EYE_LIMIT, Plane, Setup, plane_setup, plane_setup_in};
+use crate::frame::plane_setup::{EYE_LIMIT, Plane, Setup, plane_setup};
 use crate::frame::projection::{Projection, Rays, face_cameras, join_faces};
 use crate::frame::specialize::{Specialization, Twin};
 use crate::world::tables::{Paint, Resident};
@@ -214,62 +215,73 @@ impl CpuRenderer {
             Projection::Ortho { .. } => return self.rays(camera, options, outputs, "cpu"),
             _ => return self.render_sphere(camera, options, outputs),
         }
+        let plan = self.plan(camera, options);
+        self.draw(plan, outputs)
+    }
+
+    /// Decides about one frame in perspective.
+    pub(crate) fn plan(&mut self, camera: &Camera, options: &Options) -> FramePlan {
+        FramePlan::new_in(std::mem::take(&mut self.planes), &self.resident, camera, options)
+    }
+
+    /// Draws what was decided about a frame in perspective.
+    pub(crate) fn draw(&mut self, plan: FramePlan, outputs: Outputs) -> Result<Frame> {
+        let (camera, options) = (&plan.camera, &plan.options);
         if let Some(frame) = inside_solid(self.scene.as_deref(), &self.resident, camera, options, outputs) {
+            self.planes = plan.setup.planes;
             return Ok(frame);
         }
         if self.casts_rays {
             self.tree()?;
         }
         let mut frame = self.frame(camera, outputs);
-        let start = Instant::now();
-
-        let setup = plane_setup_in(std::mem::take(&mut self.planes), &self.resident, camera, options);
-        let setup_ms = milliseconds(start);
 
         let at = Instant::now();
-        let retest = setup.retests(camera, options);
+        let start = at;
+        let retest = plan.retests();
         let voxels = outputs.voxel || retest;
         let traverse = if options.f64_traversal { f64::traverse } else { f32::traverse };
-        let specialization = Specialization::new(&self.resident, &setup, camera, options, Twin::Cpu);
+        let specialization = plan.specialization(&self.resident, Twin::Cpu);
+        let setup = &plan.setup;
         let counters = match self.tree.as_ref().filter(|_| self.casts_rays) {
             Some(tree) => {
                 let (color, depth, voxel) = (&mut self.color, &mut frame.depth, &mut frame.voxel);
-                raycast::raycast(&self.resident, tree, &setup, camera, color, depth, voxel)
+                raycast::raycast(&self.resident, tree, setup, camera, color, depth, voxel)
             }
-            None => traverse(&self.resident, &setup, options.culling, specialization, &mut self.buffer, voxels),
+            None => traverse(&self.resident, setup, options.culling, specialization, &mut self.buffer, voxels),
         };
         let traverse_ms = milliseconds(at);
 
         let at = Instant::now();
         let holes = match self.casts_rays {
             true => {
-                frame.voxel.iter_mut().for_each(|v| *v = world_voxel(&setup, *v));
+                frame.voxel.iter_mut().for_each(|v| *v = world_voxel(setup, *v));
                 [0, 0]
             }
-            false => self.remap(&setup, camera, options, retest, &mut frame),
+            false => self.remap(&plan, retest, &mut frame),
         };
         if options.smooth {
-            self.smooth(&setup, camera, &mut frame);
+            self.smooth(setup, camera, &mut frame);
         }
         let remap_ms = milliseconds(at);
 
         let at = Instant::now();
-        self.shade(camera, options, Some(&setup), &mut frame);
+        self.shade(camera, options, Some(setup), &mut frame);
         self.matter(camera, options, &mut frame);
         let shade_ms = milliseconds(at);
 
         let kernel = if self.casts_rays { "raycast" } else { "planes" };
         frame.stats = frame_stats(&self.resident, camera, options, "cpu", kernel);
-        of_planes(&mut frame.stats, &setup, specialization, counters);
+        of_planes(&mut frame.stats, setup, specialization, counters);
         [frame.stats.holes, _] = holes;
         frame.stats.cpu_ms = Some(StageTimes {
-            setup: setup_ms,
+            setup: plan.setup_ms,
             traverse: traverse_ms,
             remap: remap_ms,
             shade: shade_ms,
-            total: milliseconds(start),
+            total: plan.setup_ms + milliseconds(start),
         });
-        self.planes = setup.planes;
+        self.planes = plan.setup.planes;
         Ok(frame)
     }
 
@@ -575,19 +587,13 @@ impl CpuRenderer {
     }
 
     /// Remap and, where planes are more than a pixel apart, gap fill. Returns holes before and after.
-    fn remap(
-        &mut self,
-        setup: &Setup,
-        camera: &Camera,
-        options: &Options,
-        retest: bool,
-        frame: &mut Frame,
-    ) -> [u64; 2] {
+    fn remap(&mut self, plan: &FramePlan, retest: bool, frame: &mut Frame) -> [u64; 2] {
+        let FramePlan { camera, options, setup, .. } = plan;
         let width = frame.width;
         // Planes at most a pixel apart reach every pixel.
         let sparse = setup.is_sparse();
         if retest {
-            let doubts = if setup.refines(camera, options) { self.color.len() } else { 0 };
+            let doubts = if plan.refines() { self.color.len() } else { 0 };
             resize(&mut self.doubt, doubts, refine::Doubt::NONE);
             let mut pixels = remap::Pixels {
                 color: &mut self.color,
@@ -664,7 +670,7 @@ pub(crate) fn inside_solid(
             resident.levels[0].column(column).position(holds)? as u32
         }
     };
-    let color = resident.levels[0].paint.color(column, k, y);
+    let color = resident.levels[0].color(column, k, y);
     let mut frame = empty_frame(camera, outputs);
     frame.depth.fill(0.0);
     frame.color.fill((color | 0xFF00_0000).to_le_bytes());

@@ -137,7 +137,7 @@ impl<'a> Ground<'a> {
         for (ix, share) in columns.into_iter().zip([(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v]) {
             let height = self.heights[ix];
             if height > 0 {
-                let color = self.level.paint.color(ix, 0, u32::from(height) - 1);
+                let color = self.level.color(ix, 0, u32::from(height) - 1);
                 for (sum, shift) in sum.iter_mut().zip([0, 8, 16]) {
                     *sum += share * ((color >> shift) & 255) as f32;
                 }

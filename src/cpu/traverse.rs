@@ -251,15 +251,34 @@ fn traverse_planes<R: Real>(
 }
 
 fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) -> Counters {
-    #[cfg(target_arch = "x86_64")]
-    if avx2 {
-        // SAFETY: `has_avx2` has seen that the processor can.
-        return unsafe {
-            if task.ground { ground_one_avx2::<R>(task, scratch) } else { traverse_one_avx2::<R>(task, scratch) }
-        };
+    macro_rules! walk {
+        ($voxel:literal, $fast:literal, $color:literal) => {{
+            #[cfg(target_arch = "x86_64")]
+            if avx2 {
+                // SAFETY: `has_avx2` has seen that the processor can.
+                return unsafe { traverse_one_avx2::<R, $voxel, $fast, $color>(task, scratch) };
+            }
+            traverse_one::<R, $voxel, $fast, $color>(task, scratch)
+        }};
+    }
+    if task.ground {
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: as above.
+            return unsafe { ground_one_avx2::<R>(task, scratch) };
+        }
+        return ground_one::<R>(task, scratch);
     }
     let _ = avx2;
-    if task.ground { ground_one::<R>(task, scratch) } else { traverse_one::<R>(task, scratch) }
+    // All variants there are, each a function of its own: as one, they took a compiler twice as long. Terms of tilted cameras, the
+    // seam of repeated worlds and the change of levels are met once a span, a block or a level, not once a column, and have none.
+    match (task.voxel.is_empty(), task.culling == Culling::ALL) {
+        (true, true) => walk!(false, true, true),
+        (true, false) => walk!(false, false, true),
+        (false, true) if task.color.is_empty() => walk!(true, true, false),
+        (false, true) => walk!(true, true, true),
+        (false, false) => walk!(true, false, true),
+    }
 }
 
 #[inline(always)]
@@ -312,32 +331,34 @@ struct Task1<'a> {
 }
 
 #[inline(always)]
-fn traverse_one<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
-    macro_rules! walk {
-        ($voxel:literal, $fast:literal, $color:literal) => {{
-            let plane = task.plane;
-            let mut walk = Walk::<R, $voxel, $fast, $color>::new(task, &mut scratch.walk);
-            walk.run(Start::of(plane));
-            walk.finish()
-        }};
-    }
-    // All variants there are. Terms of tilted cameras, the seam of repeated worlds and the change of levels are met once a
-    // span, a block or a level, not once a column, and have none.
-    match (task.voxel.is_empty(), task.culling == Culling::ALL) {
-        (true, true) => walk!(false, true, true),
-        (true, false) => walk!(false, false, true),
-        (false, true) if task.color.is_empty() => walk!(true, true, false),
-        (false, true) => walk!(true, true, true),
-        (false, false) => walk!(true, false, true),
-    }
+fn walk_one<R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool>(
+    task: Task1<'_>,
+    scratch: &mut Scratch<R>,
+) -> Counters {
+    let plane = task.plane;
+    let mut walk = Walk::<R, VOXEL, FAST, COLOR>::new(task, &mut scratch.walk);
+    walk.run(Start::of(plane));
+    walk.finish()
+}
+
+#[inline(never)]
+fn traverse_one<R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool>(
+    task: Task1<'_>,
+    scratch: &mut Scratch<R>,
+) -> Counters {
+    walk_one::<R, VOXEL, FAST, COLOR>(task, scratch)
 }
 
 /// The same code for processors with AVX2 and BMI: wider loops over samples, cheaper bit scans. No fused operations, so
 /// the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn traverse_one_avx2<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>) -> Counters {
-    traverse_one::<R>(task, scratch)
+#[inline(never)]
+fn traverse_one_avx2<R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool>(
+    task: Task1<'_>,
+    scratch: &mut Scratch<R>,
+) -> Counters {
+    walk_one::<R, VOXEL, FAST, COLOR>(task, scratch)
 }
 
 /// As [`traverse_one_avx2`].
@@ -1043,12 +1064,13 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
                 self.voxel[lanes.clone()].fill([self.cell[0], y as i32, self.cell[1], l as i32]);
             }
             if COLOR {
-                self.color[lanes].fill(level.paint.color(d.column, d.k, y));
+                self.color[lanes].fill(level.color(d.column, d.k, y));
             }
             return;
         }
         self.depth[lanes.clone()].copy_from_slice(&scaled(d.t0, &depth_t[lanes.clone()]));
-        let voxel_paint = COLOR && matches!(level.paint, Paint::Voxel { .. } | Paint::Height { .. });
+        let voxel_paint =
+            COLOR && matches!(level.paint, Paint::Voxel { .. } | Paint::Top { .. } | Paint::Height { .. });
         let mut ys = [0; LANES];
         if VOXEL || voxel_paint {
             let highest = R::from_i32(((last - first + 1) << l) as i32 - 1);
@@ -1069,11 +1091,16 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             color.iter_mut().zip(ys).for_each(|(c, y)| *c = colors[y as usize]);
             return;
         }
-        let Paint::Voxel { stride, base, exposed, colors } = &level.paint else {
-            color.fill(level.paint.color(d.column, d.k, first));
+        if let Paint::Top { starts, colors } = &level.paint {
+            let (own, hidden) = level.own_colors(starts, colors, d.column);
+            color.iter_mut().zip(ys).for_each(|(c, y)| *c = own[y.saturating_sub(hidden) as usize]);
+            return;
+        }
+        let Paint::Voxel { base, exposed, colors } = &level.paint else {
+            color.fill(level.color(d.column, d.k, first));
             return;
         };
-        let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];
+        let exposed = level.exposed(base, exposed, d.column);
         // Mostly all lie in one exposed run.
         let mut paint = Exposed::default();
         paint.find(exposed, if UP { first } else { last });
@@ -1177,9 +1204,9 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
             // Most spans are short: for them a loop over vectors costs more than it saves.
             if to - from < 16
                 && COLOR
-                && let Paint::Voxel { stride, base, exposed, colors } = &level.paint
+                && let Paint::Voxel { base, exposed, colors } = &level.paint
             {
-                let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];
+                let exposed = level.exposed(base, exposed, d.column);
                 let mut paint = Exposed::default();
                 for (((c, z), sight), slope) in color.iter_mut().zip(depth).zip(depth_t).zip(slope) {
                     *z = (d.t0 * *sight).to_f32();
@@ -1203,8 +1230,12 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
                     color.iter_mut().zip(slope).for_each(|(c, s)| *c = colors[y(s) as usize]);
                 }
                 Paint::Run { base, colors } => color.fill(colors[(base[d.column] + d.k) as usize]),
-                Paint::Voxel { stride, base, exposed, colors } => {
-                    let exposed = &exposed[base[stride * d.column] as usize..base[stride * d.column + 1] as usize];
+                Paint::Top { starts, colors } => {
+                    let (own, hidden) = level.own_colors(starts, colors, d.column);
+                    color.iter_mut().zip(slope).for_each(|(c, s)| *c = own[y(s).saturating_sub(hidden) as usize]);
+                }
+                Paint::Voxel { base, exposed, colors } => {
+                    let exposed = level.exposed(base, exposed, d.column);
                     let mut paint = Exposed::default();
                     for (c, s) in color.iter_mut().zip(slope) {
                         *c = colors[paint.find(exposed, y(s))];
@@ -1223,7 +1254,7 @@ impl<'a, R: Real, const VOXEL: bool, const FAST: bool, const COLOR: bool> Walk<'
                 *z = (up * s).to_f32();
             }
             if COLOR {
-                color.fill(level.paint.color(d.column, d.k, y));
+                color.fill(level.color(d.column, d.k, y));
             }
             if VOXEL {
                 self.voxel[from..to].fill([self.cell[0], y as i32, self.cell[1], l as i32]);

@@ -7,6 +7,7 @@ pub mod camera;
 pub mod cameras;
 pub mod options;
 pub mod picture;
+pub mod plan;
 pub mod plane_setup;
 pub mod preset;
 pub mod projection;

@@ -17,11 +17,13 @@ use crate::cpu::shade;
 use crate::cpu::shadow::Tops;
 use crate::cpu::smooth::{self, Ground};
 use crate::cpu::traverse::PlaneBuffer;
+use crate::cpu::usage;
 use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
 use crate::frame::options::{Options, Shading};
 use crate::frame::picture::{Frame, StageTimes, Stats};
-use crate::frame::plane_setup::{Setup, plane_setup};
+use crate::frame::plan::FramePlan;
+use crate::frame::plane_setup::Setup;
 use crate::frame::projection::Projection;
 use crate::frame::specialize::{Feature, Specialization, Twin};
 use crate::world::pager::Change;
@@ -36,7 +38,7 @@ use rayon::prelude::*;
 use shaders::Variant;
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, mpsc};
-use types::{FrameParams, Upload};
+use types::{FrameParams, PaintKind, Upload};
 
 /// How `traverse` is spread over the device. All draw the same picture but for float rounding.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -154,6 +156,9 @@ pub struct GpuRenderer {
     prepared: VecDeque<Prepared>,
     /// Whether frames that are read back have depths.
     depth: bool,
+    /// Whether frames from now on count the pixels that show each slot, and what the latest that did so counted.
+    counts_usage: bool,
+    usage: Vec<u32>,
     shown: present::Shown,
     /// Of frames that are shown, and of the picture in the buffer `shaded`.
     live_order: ByteOrder,
@@ -207,21 +212,18 @@ struct Drawing {
 
 /// What the host works out of a frame before it is sent.
 struct Prepared {
-    camera: Camera,
-    options: Options,
-    setup: Setup,
+    plan: FramePlan,
     upload: Upload,
 }
 
 impl Prepared {
     fn new(resident: &Resident, camera: &Camera, options: &Options) -> Prepared {
-        let setup = plane_setup(resident, camera, options);
-        let upload = Upload::new(resident, &setup, camera, options);
-        Prepared { camera: *camera, options: *options, setup, upload }
+        Prepared::of(resident, FramePlan::new(resident, camera, options))
     }
 
-    fn is_of(&self, camera: &Camera, options: &Options) -> bool {
-        (&self.camera, &self.options) == (camera, options)
+    fn of(resident: &Resident, plan: FramePlan) -> Prepared {
+        let upload = Upload::new(resident, &plan.setup, &plan.camera, &plan.options);
+        Prepared { plan, upload }
     }
 }
 
@@ -244,7 +246,10 @@ struct Parts {
     counters: u64,
     holes: u64,
     times: u64,
+    usage: u64,
     end: u64,
+    /// Slots whose pixels are counted.
+    n_slots: usize,
     /// Entries of the counters.
     n_counters: usize,
     /// Times are those of each stage, not of all.
@@ -376,6 +381,8 @@ impl GpuRenderer {
             look: None,
             prepared: VecDeque::new(),
             depth: true,
+            counts_usage: false,
+            usage: Vec::new(),
             shown,
             live_order,
             shaded_order,
@@ -402,6 +409,16 @@ impl GpuRenderer {
     /// [`Error::Limit`] where the device has no room for them.
     pub fn bring(&mut self, changes: &[Change]) -> Result<u64> {
         self.tables.sync(&self.engine, &self.resident, changes, self.options.binding_size)
+    }
+
+    /// Whether frames count how many pixels show the tile of each slot, from the next one on.
+    pub(crate) fn set_usage(&mut self, counts: bool) {
+        self.counts_usage = counts && self.tables.is_paged();
+    }
+
+    /// What the latest frame that was collected counted, as [`crate::cpu::usage::usage`] has it; empty where it did not.
+    pub(crate) fn usage(&self) -> &[u32] {
+        &self.usage
     }
 
     /// The adapter's name, and its driver.
@@ -477,7 +494,10 @@ impl GpuRenderer {
     /// The oldest frame on its way, once it is done; `None` where there is none.
     pub fn collect(&mut self) -> Option<Result<Frame>> {
         Some(match self.pending.pop_front()? {
-            Pending::Done(frame) => Ok(*frame),
+            Pending::Done(frame) => {
+                self.usage.clear();
+                Ok(*frame)
+            }
             Pending::Drawing(drawing) => self.finish(*drawing),
         })
     }
@@ -486,7 +506,7 @@ impl GpuRenderer {
     pub fn collect_and_prepare(&mut self, cameras: &[Camera], options: &Options) -> Option<Result<Frame>> {
         /// As many at a time, so that each thread has one whole.
         const AHEAD: usize = 4;
-        let known = |camera: &Camera| self.prepared.iter().any(|p| p.is_of(camera, options));
+        let known = |camera: &Camera| self.prepared.iter().any(|p| p.plan.is_of(camera, options));
         if cameras.first().is_none_or(known) {
             return self.collect();
         }
@@ -509,6 +529,13 @@ impl GpuRenderer {
     /// Sends one frame to the device and returns at once; [`GpuRenderer::collect`] gives frames in the order of submission.
     pub fn submit(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
         self.submit_from(Begin::Traverse, camera, options, outputs)
+    }
+
+    /// The same for a frame that is decided already.
+    pub(crate) fn submit_plan(&mut self, plan: FramePlan, outputs: Outputs) -> Result<()> {
+        let (camera, options) = (plan.camera, plan.options);
+        self.prepared.push_back(Prepared::of(&self.resident, plan));
+        self.submit(&camera, &options, outputs)
     }
 
     /// Draws pictures of any sizes and hands them on in order; `done` may give a frame back. Several are sent to the device in
@@ -559,7 +586,7 @@ impl GpuRenderer {
         let prepared: Vec<_> = cameras.par_iter().map(|camera| Prepared::new(&resident, camera, options)).collect();
         let (mut frames, mut jobs) = (Vec::with_capacity(cameras.len()), Vec::with_capacity(cameras.len()));
         self.slots.resize_with(self.slots.len().max(cameras.len()), HashMap::new);
-        for (at, Prepared { camera, setup, upload, .. }) in prepared.iter().enumerate() {
+        for (at, Prepared { plan: FramePlan { camera, setup, .. }, upload }) in prepared.iter().enumerate() {
             if let Some(frame) = self.inside(camera, options, outputs) {
                 frames.push(*frame);
                 continue;
@@ -741,13 +768,18 @@ impl GpuRenderer {
         if let Some(frame) = self.inside(camera, options, outputs) {
             return Ok(Drawn::Inside(frame));
         }
-        let Prepared { setup, mut upload, .. } = match self.prepared.iter().position(|p| p.is_of(camera, options)) {
+        let known = self.prepared.iter().position(|p| p.plan.is_of(camera, options));
+        let Prepared { plan: FramePlan { setup, .. }, mut upload } = match known {
             Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
             None => Prepared::new(&self.resident, camera, options),
         };
         self.check_steps(&setup, options)?;
         let mut plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);
         plan.derived = derives_normals(&self.resident, options);
+        if self.counts_usage {
+            plan.n_slots = usage::slots(&self.resident).1;
+            (plan.image_voxel, plan.plane_voxel) = (true, true);
+        }
         self.reserve(&plan)?;
         if plan.shadows {
             self.shadows(&mut upload.frame)?;
@@ -762,6 +794,9 @@ impl GpuRenderer {
         let matter = self.matter(camera, options)?;
 
         let mut encoder = self.engine.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        if plan.n_slots > 0 {
+            encoder.clear_buffer(&self.buffers["usage"], 0, None);
+        }
         let pass = (!plan.stage_times).then(|| self.pass(&mut encoder, "frame", 0).forget_lifetime());
         let mut recorder = Recorder { pass, encoder };
         match begin {
@@ -785,6 +820,9 @@ impl GpuRenderer {
         self.shade(&mut recorder, &plan, order)?;
         if matter {
             self.compose(&mut recorder, &plan, order)?;
+        }
+        if plan.n_slots > 0 {
+            self.count_usage(&mut recorder, &plan)?;
         }
         let Recorder { pass, mut encoder } = recorder;
         drop(pass);
@@ -811,9 +849,6 @@ const SOFTWARE_TURNS: u64 = 65_535;
 /// Columns of a walk that is sure to take more, and is not begun.
 const MAX_STEPS_SOFTWARE: u64 = 60_000;
 
-/// Runs have colours: see [`GpuResident::paint`].
-const PAINT_RUN: u32 = 1;
-
 /// What a walk that was cut short says it visited: `CUT_SHORT` in the shaders.
 const CUT_SHORT: u32 = u32::MAX;
 
@@ -834,6 +869,10 @@ struct Plan {
     /// Planes write voxels; the picture has them.
     plane_voxel: bool,
     image_voxel: bool,
+    /// The picture's voxels are read back.
+    read_voxel: bool,
+    /// Slots whose pixels are counted; 0 where they are not.
+    n_slots: u32,
     retest: bool,
     refine: bool,
     sparse: bool,
@@ -877,6 +916,8 @@ impl Plan {
             words: 0,
             plane_voxel: outputs.voxel || retest,
             image_voxel: outputs.voxel,
+            read_voxel: outputs.voxel,
+            n_slots: 0,
             retest,
             refine: !gpu.kernel.casts_rays() && setup.refines(camera, options),
             sparse,
@@ -960,10 +1001,12 @@ impl Plan {
         Parts {
             color: take(4 * pixels),
             depth: take(if depth { 4 * pixels } else { 0 }),
-            voxel: take(if self.image_voxel { 16 * pixels } else { 0 }),
+            voxel: take(if self.read_voxel { 16 * pixels } else { 0 }),
             counters: take(12 * u64::from(n_counters)),
             holes: take(4),
             times: take(8 * u64::from(TIMES)),
+            usage: take(4 * u64::from(self.n_slots)),
+            n_slots: self.n_slots as usize,
             end: at,
             n_counters: n_counters as usize,
             stage_times: self.stage_times,
@@ -997,6 +1040,7 @@ impl GpuRenderer {
             ("index", 4 * index, U::STORAGE),
             ("filled", 4 * index, U::STORAGE),
             ("holes", 4, U::STORAGE),
+            ("usage", 4 * u64::from(plan.n_slots), U::STORAGE),
             ("scratch", 12 * u64::from(plan.n_counters) + spill, U::STORAGE),
         ];
         let limit = self.engine.limits.max_storage_buffer_binding_size.min(self.engine.limits.max_buffer_size);
@@ -1103,6 +1147,21 @@ impl GpuRenderer {
         let pipeline = self.engine.pipeline("matter", &self.variant(&[]), &[("BGRA", bgra)])?;
         let grid = [groups(plan.width, 8), groups(plan.height, 8)];
         self.record(recorder, "matter", 2, |pass| self.dispatch(pass, &pipeline, &[], grid));
+        Ok(())
+    }
+
+    /// Records the stage that counts pixels by slot.
+    fn count_usage(&mut self, recorder: &mut Recorder, plan: &Plan) -> Result<()> {
+        let pipeline = self.engine.pipeline("usage", &self.variant(&plan.defines()), &[])?;
+        let grid = [groups(plan.width, 16), groups(plan.height, 16)];
+        match &mut recorder.pass {
+            Some(pass) => self.dispatch(pass, &pipeline, &[], grid),
+            // In no stage's time.
+            None => {
+                let mut pass = recorder.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                self.dispatch(&mut pass, &pipeline, &[], grid);
+            }
+        }
         Ok(())
     }
 
@@ -1232,7 +1291,7 @@ impl GpuRenderer {
         let culling = options.culling;
         let voxel = if plan.kernel.casts_rays() { plan.image_voxel } else { plan.plane_voxel };
         let mut constants = vec![
-            ("PAINT", f64::from(self.tables.paint)),
+            ("PAINT", self.tables.paint.constant()),
             ("VOXEL", on(voxel)),
             ("COUNT", on(self.options.count)),
             ("COARSE", on(culling.coarse)),
@@ -1272,7 +1331,7 @@ impl GpuRenderer {
                 ("traverse_workgroup", [x, groups(plan.n_planes, x.max(1))])
             }
             Kernel::Raycast => {
-                if self.tables.paint == PAINT_RUN {
+                if self.tables.paint == PaintKind::Run {
                     defines.push("RUN_COLORS");
                 }
                 ("raycast", [groups(plan.width, 8), groups(plan.height, 8)])
@@ -1301,7 +1360,7 @@ impl GpuRenderer {
                 defines.push("REFINE");
             }
             let on = f64::from(u8::from(!plan.specialization.has(Feature::Bounded)));
-            let constants = [voxel, ("PAINT", f64::from(self.tables.paint)), ("REPEATS", on)];
+            let constants = [voxel, ("PAINT", self.tables.paint.constant()), ("REPEATS", on)];
             let pipeline = self.engine.pipeline("remap", &self.variant(&defines), &constants)?;
             let refine = match plan.refine {
                 true => Some(self.engine.pipeline("refine", &self.variant(&plan.defines()), &constants)?),
@@ -1338,7 +1397,7 @@ impl GpuRenderer {
         defines.extend((!self.resident.fractions.is_empty()).then_some("FRACTIONS"));
         let repeats = on(!plan.specialization.has(Feature::Bounded));
         let constants =
-            [("VOXEL", on(plan.image_voxel)), ("PAINT", f64::from(self.tables.paint)), ("REPEATS", repeats)];
+            [("VOXEL", on(plan.image_voxel)), ("PAINT", self.tables.paint.constant()), ("REPEATS", repeats)];
         self.engine.pipeline("smooth", &self.variant(&defines), &constants).map(Some)
     }
 
@@ -1428,10 +1487,11 @@ impl GpuRenderer {
         };
         copy("shaded", parts.color, 4 * pixels);
         copy("image_depth", parts.depth, if parts.voxel > parts.depth { 4 * pixels } else { 0 });
-        copy("image_voxel", parts.voxel, if plan.image_voxel { 16 * pixels } else { 0 });
+        copy("image_voxel", parts.voxel, if plan.read_voxel { 16 * pixels } else { 0 });
         copy("scratch", parts.counters, 12 * parts.n_counters as u64);
         copy("holes", parts.holes, 4);
         copy("times", parts.times, if times { 8 * u64::from(TIMES) } else { 0 });
+        copy("usage", parts.usage, 4 * parts.n_slots as u64);
     }
 
     fn finish(&mut self, drawing: Drawing) -> Result<Frame> {
@@ -1470,6 +1530,7 @@ impl GpuRenderer {
             frame.voxel =
                 refilled(voxel, part(parts.voxel, if parts.counters > parts.voxel { 16 * pixels } else { 0 }));
             whole = self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
+            self.usage = refilled(std::mem::take(&mut self.usage), part(parts.usage, 4 * parts.n_slots));
         }
         readback.unmap();
         self.free.push(readback);

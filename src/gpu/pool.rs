@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::gpu::engine::Engine;
 use crate::gpu::shaders::{Pages, TABLES};
-use crate::gpu::types::{Level, MAX_LEVELS, NONE};
+use crate::gpu::types::{Level, MAX_LEVELS, NONE, PaintKind};
 use crate::world::pager::Change;
 use crate::world::tables::{BLOCK_SHIFT, Paint, Resident, ResidentLevel, Table as Columns};
 use planecast_encoder::format::TILE;
@@ -23,8 +23,7 @@ pub struct GpuResident {
     pub tables: [Vec<wgpu::Buffer>; 3],
     pub pages: [Pages; 3],
     pub bytes: u64,
-    /// `PAINT_*` of the shaders.
-    pub paint: u32,
+    pub paint: PaintKind,
     /// Of tables whose tiles come and go.
     slots: Option<Slots>,
 }
@@ -95,7 +94,8 @@ impl GpuResident {
         let levels = engine.buffer("levels", (MAX_LEVELS * size_of::<Level>()) as u64, wgpu::BufferUsages::UNIFORM);
         let pages = [Pages { n: 1, shift: 31 }; 3];
         let slots = Some(Slots::default());
-        let mut tables = GpuResident { levels, tables: Default::default(), pages, bytes: 0, paint: 0, slots };
+        let mut tables =
+            GpuResident { levels, tables: Default::default(), pages, bytes: 0, paint: PaintKind::None, slots };
         tables.sync(engine, resident, &[Change::All], binding_size)?;
         Ok(tables)
     }
@@ -156,7 +156,8 @@ impl GpuResident {
             let (room, level) = (&slots.levels[l as usize].level, &resident.levels[l as usize]);
             let [runs, exposed, colors] = slots.held.get(&(l, slot)).cloned().unwrap_or_default();
             let part = |range: &Range<u32>| range.start as usize..range.end as usize;
-            let columns = slot as usize * COLUMNS..(slot as usize + 1) * COLUMNS;
+            let of_slot = |n: usize| slot as usize * n..(slot as usize + 1) * n;
+            let (columns, starts) = (of_slot(COLUMNS), of_slot(COLUMNS + 1));
             let at = |base: u32, first: usize| u64::from(base) + first as u64;
             match &level.table {
                 Columns::Heights(heights) => {
@@ -178,8 +179,11 @@ impl GpuResident {
                     put(2, at(room.paint, columns.start), bytemuck::cast_slice(&base[columns.clone()]))?;
                     put(2, at(room.colors, colors.start as usize), bytemuck::cast_slice(&all[part(&colors)]))?;
                 }
-                Paint::Voxel { base, exposed: list, colors: all, .. } => {
-                    let starts = 2 * columns.start..2 * columns.end;
+                Paint::Top { starts: all_starts, colors: all } => {
+                    put(2, at(room.paint, starts.start), bytemuck::cast_slice(&all_starts[starts.clone()]))?;
+                    put(2, at(room.colors, colors.start as usize), bytemuck::cast_slice(&all[part(&colors)]))?;
+                }
+                Paint::Voxel { base, exposed: list, colors: all } => {
                     put(2, at(room.paint, starts.start), bytemuck::cast_slice(&base[starts.clone()]))?;
                     put(2, at(room.exposed, 2 * exposed.start as usize), bytemuck::cast_slice(&list[part(&exposed)]))?;
                     put(2, at(room.colors, colors.start as usize), bytemuck::cast_slice(&all[part(&colors)]))?;
@@ -286,15 +290,15 @@ fn write(
 fn grown(level: &ResidentLevel) -> [u32; 3] {
     match &level.paint {
         Paint::None | Paint::Column { .. } | Paint::Height { .. } => [level.runs().len(), 0, 0],
-        Paint::Run { colors, .. } => [level.runs().len(), 0, colors.len()],
+        Paint::Top { colors, .. } | Paint::Run { colors, .. } => [level.runs().len(), 0, colors.len()],
         Paint::Voxel { exposed, colors, .. } => [level.runs().len(), exposed.len(), colors.len()],
     }
     .map(|n| n as u32)
 }
 
 /// Where the tables of levels begin whose tiles stand in slots, with room to grow; bytes and elements of the three tables, and
-/// `PAINT_*`.
-fn lay_out(resident: &Resident) -> Result<(Vec<Room>, [Size; 3], u32)> {
+/// what their colours are.
+fn lay_out(resident: &Resident) -> Result<(Vec<Room>, [Size; 3], PaintKind)> {
     if resident.levels.len() > MAX_LEVELS {
         let n = resident.levels.len();
         return Err(Error::Limit(format!("scene of {n} levels: the GPU draws at most {MAX_LEVELS}")));
@@ -306,7 +310,7 @@ fn lay_out(resident: &Resident) -> Result<(Vec<Room>, [Size; 3], u32)> {
         ends[table] += n as u64;
         Ok(at)
     };
-    let mut paint = 0;
+    let mut paint = PaintKind::None;
     let mut rooms = Vec::new();
     for level in &resident.levels {
         let pages = level.pages.as_ref().expect("a paged level has pages");
@@ -331,20 +335,25 @@ fn lay_out(resident: &Resident) -> Result<(Vec<Room>, [Size; 3], u32)> {
         match &level.paint {
             Paint::None => {}
             Paint::Column { colors } => {
-                paint = 3;
+                paint = PaintKind::Column;
                 out.colors = put(2, colors.len())?;
             }
             Paint::Height { colors } => {
-                paint = 4;
+                paint = PaintKind::Height;
                 out.colors = put(2, colors.len())?;
             }
+            Paint::Top { starts, .. } => {
+                paint = PaintKind::Top;
+                out.paint = put(2, starts.len())?;
+                out.colors = put(2, colors.max(1 << 15) as usize)?;
+            }
             Paint::Run { base, .. } => {
-                paint = 1;
+                paint = PaintKind::Run;
                 out.paint = put(2, base.len())?;
                 out.colors = put(2, colors.max(1 << 15) as usize)?;
             }
             Paint::Voxel { base, .. } => {
-                paint = 2;
+                paint = PaintKind::Voxel;
                 out.paint = put(2, base.len())?;
                 out.exposed = put(2, 2 * exposed.max(1 << 15) as usize)?;
                 out.colors = put(2, colors.max(1 << 15) as usize)?;
@@ -361,7 +370,7 @@ fn lay_out(resident: &Resident) -> Result<(Vec<Room>, [Size; 3], u32)> {
 const OTHER_BINDINGS: u32 = 5;
 
 /// All levels' tables one after the other, and where each level begins.
-fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>; 3], u32)> {
+fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>; 3], PaintKind)> {
     let mut levels = [Level::default(); MAX_LEVELS];
     let column = if resident.heights { 4 } else { 8 };
     let mut tables = [column, 4, 4].map(|element| Table { parts: Vec::new(), element });
@@ -372,8 +381,8 @@ fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>
         table.parts.push(part);
         Ok(at)
     };
-    let mixed = resident.levels.iter().any(|level| matches!(level.paint, Paint::Voxel { .. }));
-    let mut paint = 0;
+    let mixed = resident.levels.iter().any(|level| matches!(level.paint, Paint::Top { .. }));
+    let mut paint = PaintKind::None;
     for (out, level) in levels.iter_mut().zip(&resident.levels) {
         let [columns, runs, paints] = &mut tables;
         *out = Level {
@@ -394,23 +403,28 @@ fn gather<'a>(resident: &'a Resident) -> Result<([Level; MAX_LEVELS], [Table<'a>
         match &level.paint {
             Paint::None => {}
             Paint::Run { base, colors } => {
-                paint = 1;
+                paint = PaintKind::Run;
                 out.paint = put(paints, bytemuck::cast_slice(base))?;
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
-            Paint::Voxel { base, exposed, colors, .. } => {
-                paint = 2;
+            Paint::Top { starts, colors } => {
+                paint = PaintKind::Top;
+                out.paint = put(paints, bytemuck::cast_slice(starts))?;
+                out.colors = put(paints, bytemuck::cast_slice(colors))?;
+            }
+            Paint::Voxel { base, exposed, colors } => {
+                paint = PaintKind::Voxel;
                 out.paint = put(paints, bytemuck::cast_slice(base))?;
                 out.exposed = put(paints, bytemuck::cast_slice(exposed))?;
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
             Paint::Height { colors } => {
-                paint = 4;
+                paint = PaintKind::Height;
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
             Paint::Column { colors } => {
-                // Among levels with a colour per voxel, one that needs none says so by where its exposed runs are.
-                (paint, out.exposed) = if mixed { (2, NONE) } else { (3, 0) };
+                // Among levels with more colours, one that needs no starts says so by where those are.
+                (paint, out.paint) = if mixed { (PaintKind::Top, NONE) } else { (PaintKind::Column, 0) };
                 out.colors = put(paints, bytemuck::cast_slice(colors))?;
             }
         }

@@ -6,7 +6,7 @@
 
 use crate::cpu::remap::HOLE;
 use crate::cpu::{matter, normal, refine, shade, shadow, smooth};
-use crate::gpu::types::{MAX_LEVELS, NONE, STEEP};
+use crate::gpu::types::{MAX_LEVELS, NONE, PaintKind, STEEP};
 use crate::world::tables::{BLOCK_SHIFT, EMPTY, TILE_SHIFT, UNPAINTED};
 use std::fmt::Write;
 use wgpu::naga;
@@ -39,6 +39,7 @@ const FILES: &[(&str, &str)] = files![
     "shade.wgsl",
     "smooth.wgsl",
     "matter.wgsl",
+    "usage.wgsl",
 ];
 
 /// The first binding of the scene's tables; those below are the shaders' own.
@@ -89,11 +90,9 @@ fn header() -> String {
     // As bits: WGSL has no infinity.
     constant("INFINITY", format!("{}u", f32::INFINITY.to_bits()));
     constant("I32_MAX", format!("{}i", i32::MAX));
-    constant("PAINT_NONE", "0u".into());
-    constant("PAINT_RUN", "1u".into());
-    constant("PAINT_VOXEL", "2u".into());
-    constant("PAINT_COLUMN", "3u".into());
-    constant("PAINT_HEIGHT", "4u".into());
+    for (kind, name) in PaintKind::ALL {
+        constant(name, format!("{}u", kind as u32));
+    }
     constant("FARTHEST", format!("{:?}f", refine::FARTHEST));
     constant("REFINE_COLUMNS", format!("{}u", refine::COLUMNS));
     constant("REFINE_MARGIN", format!("{:?}f", refine::MARGIN));
@@ -240,7 +239,7 @@ mod tests {
         all
     }
 
-    const STAGES: [&str; 10] = [
+    const STAGES: [&str; 11] = [
         "traverse_invocation",
         "traverse_workgroup",
         "raycast",
@@ -251,6 +250,7 @@ mod tests {
         "shade",
         "smooth",
         "matter",
+        "usage",
     ];
 
     #[test]
@@ -261,6 +261,9 @@ mod tests {
                 if !variant.defines.contains(&"HEIGHTS")
                     && (stage == "smooth" || variant.defines.contains(&"SMOOTH_NORMALS"))
                 {
+                    continue;
+                }
+                if stage == "usage" && !variant.defines.contains(&"PAGED") {
                     continue;
                 }
                 let source = assemble(stage, &variant);

@@ -22,6 +22,34 @@ pub const STEEP: f32 = 1e18;
 /// The view ends here at the latest, in voxels: crossings beyond no longer tell columns apart.
 const VIEW_LIMIT: f64 = 1e9;
 
+/// How the shaders look a colour up, `PAINT_*` there: [`crate::world::tables::Paint`] says what each means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PaintKind {
+    #[default]
+    None,
+    Run,
+    Voxel,
+    Column,
+    Height,
+    Top,
+}
+
+impl PaintKind {
+    pub const ALL: [(PaintKind, &'static str); 6] = [
+        (PaintKind::None, "PAINT_NONE"),
+        (PaintKind::Run, "PAINT_RUN"),
+        (PaintKind::Voxel, "PAINT_VOXEL"),
+        (PaintKind::Column, "PAINT_COLUMN"),
+        (PaintKind::Height, "PAINT_HEIGHT"),
+        (PaintKind::Top, "PAINT_TOP"),
+    ];
+
+    /// As a shader's constant.
+    pub fn constant(self) -> f64 {
+        f64::from(self as u32)
+    }
+}
+
 /// A level's extent and where its tables begin, in elements of the tables of all levels.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
@@ -34,6 +62,7 @@ pub struct Level {
     pub blocks_row: u32,
     pub bottom: i32,
     pub top: i32,
+    /// [`NONE`]: this level has a colour a column, though others have more.
     pub paint: u32,
     pub exposed: u32,
     pub colors: u32,

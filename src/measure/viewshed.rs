@@ -113,16 +113,14 @@ pub fn heights(file: &PcastFile) -> Result<Option<ResidentLevel>> {
         return Ok(None);
     }
     let top = heights.par_iter().copied().max().unwrap_or(0).into();
-    let (blocks, column_colors) = Default::default();
     let level = ResidentLevel {
         nx,
         nz,
         table: Table::Heights(heights),
-        blocks,
+        blocks: Vec::new(),
         bottom: 0,
         top,
         paint: Paint::None,
-        column_colors,
         pages: None,
     };
     Ok(Some(level))

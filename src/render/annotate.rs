@@ -174,7 +174,7 @@ fn legend(sheet: &mut Sheet<'_>, resident: &Resident, about: &About, at: [i32; 2
     let columns = level.nx as usize * level.nz as usize;
     let tops = (0..columns).step_by(columns.div_ceil(200_000).max(1)).filter_map(|ix| {
         let top = level.column(ix).next()?.last();
-        Some((usize::from(top), level.paint.color(ix, 0, u32::from(top))))
+        Some((usize::from(top), level.color(ix, 0, u32::from(top))))
     });
     let tops: Vec<(usize, u32)> = tops.collect();
     let (Some(low), Some(high)) = (tops.iter().map(|t| t.0).min(), tops.iter().map(|t| t.0).max()) else { return };

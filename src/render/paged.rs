@@ -1,21 +1,21 @@
 //! Draws a world whose tiles come as they are wanted.
 
-use std::collections::HashSet;
+use std::collections::VecDeque;
 use std::sync::Arc;
 
-use planecast_encoder::format::TILE;
-use planecast_encoder::{TileKey, TileSource};
+use planecast_encoder::TileSource;
 
 use crate::cpu::renderer::{CpuRenderer, Outputs, check};
+use crate::cpu::usage;
 use crate::frame::camera::Camera;
 use crate::frame::options::{Normals, Options};
 use crate::frame::picture::{Frame, PagingStats};
-use crate::frame::plane_setup::plane_setup;
+use crate::frame::plan::FramePlan;
 use crate::frame::projection::{Projection, face_cameras, join_faces};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer};
 use crate::render::device::Device;
-use crate::world::pager::{Change, Pager, Paging, Patience};
+use crate::world::pager::{Pager, Paging, Patience};
 use crate::world::tables::Resident;
 use crate::world::tint::Tint;
 use crate::{Error, Result};
@@ -51,26 +51,37 @@ impl Painter {
         tables.expect("nobody else has them between frames")
     }
 
-    /// Draws, after what has changed in the tables was brought to where it is drawn; and how many bytes that was.
-    fn draw(
-        &mut self,
-        changes: &[Change],
-        camera: &Camera,
-        options: &Options,
-        outputs: Outputs,
-    ) -> Result<(Frame, u64)> {
-        // The CPU draws from the tables themselves.
-        #[cfg(not(feature = "gpu"))]
-        let _ = changes;
+    /// Decides about a frame.
+    fn plan(&mut self, camera: &Camera, options: &Options) -> FramePlan {
         match self {
-            Painter::Cpu(cpu) => Ok((cpu.render(camera, options, outputs)?, 0)),
+            Painter::Cpu(cpu) => cpu.plan(camera, options),
             #[cfg(feature = "gpu")]
-            Painter::Gpu(gpu) => {
-                let uploaded = gpu.bring(changes)?;
-                Ok((gpu.render(camera, options, outputs)?, uploaded))
-            }
+            Painter::Gpu(gpu) => FramePlan::new(gpu.tables(), camera, options),
         }
     }
+
+    /// Frames that may be on their way at once.
+    fn in_flight(&self) -> usize {
+        match self {
+            Painter::Cpu(_) => 1,
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(_) => IN_FLIGHT,
+        }
+    }
+}
+
+/// Frames that the device has at once: while it draws one, the host brings the tiles of the next.
+#[cfg(feature = "gpu")]
+const IN_FLIGHT: usize = 2;
+
+/// A frame whose tiles are there, on its way.
+struct Sent {
+    job: (Camera, Options, Outputs),
+    /// What the CPU draws once its turn comes.
+    plan: Option<FramePlan>,
+    paging: PagingStats,
+    /// See [`Pager::missing_by_slot`]; empty where pixels are not counted.
+    missing: Vec<u32>,
 }
 
 /// A pager, and what draws from its tables.
@@ -83,6 +94,9 @@ pub(super) struct Paged {
     /// Whether pixels are counted by tile.
     count: bool,
     said_left_out: bool,
+    ahead: VecDeque<Sent>,
+    /// Of the frame that comes after those, once its tiles were asked for.
+    next: Option<FramePlan>,
 }
 
 /// The device that draws, as `Device` has it.
@@ -139,7 +153,16 @@ impl Paged {
         let resident = Arc::new(resident);
         let painter = open(&resident, device, tell)?;
         drop(resident);
-        Ok(Paged { pager, painter, patience, coarser: 1.0, count: false, said_left_out: false })
+        Ok(Paged {
+            pager,
+            painter,
+            patience,
+            coarser: 1.0,
+            count: false,
+            said_left_out: false,
+            ahead: VecDeque::new(),
+            next: None,
+        })
     }
 
     pub fn set_count(&mut self, count: bool) {
@@ -185,36 +208,101 @@ impl Paged {
             let faces = faces.iter().map(|face| self.draw(face, &[], &options, outputs, tell));
             return Ok(join_faces(camera, faces.collect::<Result<_>>()?));
         }
-        let (options, paging) = self.bring(camera, &options)?;
+        let job = |camera: &Camera| (*camera, options, outputs);
+        let cameras = || std::iter::once(camera).chain(next);
+        if !self.ahead.iter().zip(cameras()).all(|(sent, camera)| sent.job == job(camera)) {
+            self.forget();
+        }
+        for camera in cameras().skip(self.ahead.len()) {
+            if self.ahead.len() >= self.painter.in_flight() {
+                break;
+            }
+            match self.send(job(camera)) {
+                Ok(sent) => self.ahead.push_back(sent),
+                Err(e) if self.ahead.is_empty() => return Err(e),
+                // It will be asked for once more when its turn comes.
+                Err(_) => break,
+            }
+        }
         self.pager.take_notices().iter().for_each(|what| tell(what));
-        let voxel = outputs.voxel || self.count || paging.missing > 0;
+        // What comes after those meanwhile.
+        if let Some(next) = cameras().nth(self.ahead.len()) {
+            let plan = FramePlan::new(self.painter.tables(), next, &options);
+            self.pager.prefetch(self.painter.tables(), &plan.setup);
+            self.next = Some(plan);
+        }
+        let sent = self.ahead.pop_front().expect("the first frame was sent");
+        self.finish(sent)
+    }
+
+    /// Brings the tiles of a frame and, where a device draws beside the host, has it begin.
+    fn send(&mut self, job: (Camera, Options, Outputs)) -> Result<Sent> {
+        let (camera, options, outputs) = job;
+        let (plan, paging) = self.bring(&camera, &options)?;
         let changes = self.pager.take_changes();
-        let (mut frame, bytes_uploaded) = self.painter.draw(&changes, camera, &options, Outputs { voxel })?;
-        frame.stats.paging = PagingStats {
+        let count = self.count || paging.missing > 0;
+        let missing = if count { self.pager.missing_by_slot() } else { Vec::new() };
+        let mut paging = PagingStats {
             tiles_wanted: paging.wanted,
             tiles_missing: paging.missing,
             tiles_arrived: paging.arrived,
             tiles_evicted: paging.evicted,
             bytes_read: paging.bytes_read,
             bytes_resident: paging.bytes_resident,
-            bytes_uploaded,
             unpack_ms: paging.unpack_ms,
             upload_ms: paging.install_ms,
-            lod: options.lod.unwrap_or(0.0),
+            lod: plan.options.lod.unwrap_or(0.0),
             ..PagingStats::default()
         };
-        if voxel {
-            self.count_shown(&mut frame);
-        }
-        if !outputs.voxel {
-            frame.voxel.clear();
-        }
-        if let (Some(next), Patience::Deadline(_)) = (next.last(), self.patience) {
-            let resident = self.painter.tables();
-            let setup = plane_setup(resident, next, &options);
-            self.pager.prefetch(resident, &setup);
-        }
+        let plan = match &mut self.painter {
+            Painter::Cpu(_) => Some(plan),
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(gpu) => {
+                paging.bytes_uploaded = gpu.bring(&changes)?;
+                gpu.set_usage(count);
+                gpu.submit_plan(plan, outputs)?;
+                None
+            }
+        };
+        // The CPU draws from the tables themselves.
+        #[cfg(not(feature = "gpu"))]
+        let _ = (changes, outputs, &mut paging);
+        Ok(Sent { job, plan, paging, missing })
+    }
+
+    /// The frame that was sent first.
+    fn finish(&mut self, Sent { job: (.., outputs), plan, mut paging, missing }: Sent) -> Result<Frame> {
+        let counts = !missing.is_empty();
+        let (mut frame, usage) = match &mut self.painter {
+            Painter::Cpu(cpu) => {
+                let plan = plan.expect("the CPU draws by it");
+                let mut frame = cpu.draw(plan, Outputs { voxel: outputs.voxel || counts })?;
+                let usage = if counts { usage::usage(cpu.tables(), &frame.voxel) } else { Vec::new() };
+                if !outputs.voxel {
+                    frame.voxel.clear();
+                }
+                (frame, usage)
+            }
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(gpu) => {
+                let frame = gpu.collect().expect("a frame was submitted")?;
+                (frame, gpu.usage().to_vec())
+            }
+        };
+        let debt = usage.iter().zip(&missing).map(|(&pixels, &levels)| u64::from(pixels) * u64::from(levels));
+        paging.debt = debt.sum();
+        paging.tiles_used = usage.iter().filter(|&&pixels| pixels > 0).count() as u32;
+        frame.stats.paging = paging;
         Ok(frame)
+    }
+
+    /// Gives up what is on its way: other frames are asked for.
+    fn forget(&mut self) {
+        self.ahead.clear();
+        #[cfg(feature = "gpu")]
+        if let Painter::Gpu(gpu) = &mut self.painter {
+            while gpu.collect().is_some() {}
+        }
     }
 
     /// Options without what needs the whole world.
@@ -238,7 +326,7 @@ impl Paged {
     }
 
     /// Brings the tiles of a frame, and says how fine it can be drawn.
-    fn bring(&mut self, camera: &Camera, options: &Options) -> Result<(Options, Paging)> {
+    fn bring(&mut self, camera: &Camera, options: &Options) -> Result<(FramePlan, Paging)> {
         let patience = self.patience;
         // Back to what was asked for bit by bit, so that no two frames differ much.
         self.coarser = (self.coarser / COARSER.sqrt()).max(1.0);
@@ -248,10 +336,12 @@ impl Paged {
                 (lod, true) => Some(lod.unwrap_or(FINEST) * self.coarser),
             };
             let drawn = Options { lod, ..*options };
-            let resident = self.painter.tables_mut();
-            let setup = plane_setup(resident, camera, &drawn);
-            if let Some(paging) = self.pager.update(resident, &setup, patience)? {
-                return Ok((drawn, paging));
+            let plan = match self.next.take().filter(|plan| plan.is_of(camera, &drawn)) {
+                Some(plan) => plan,
+                None => self.painter.plan(camera, &drawn),
+            };
+            if let Some(paging) = self.pager.update(self.painter.tables_mut(), &plan.setup, patience)? {
+                return Ok((plan, paging));
             }
             self.coarser *= COARSER;
             if self.coarser > 1e6 {
@@ -261,24 +351,5 @@ impl Paged {
                 )));
             }
         }
-    }
-
-    /// Counts the tiles that pixels show, and what they are short of.
-    fn count_shown(&mut self, frame: &mut Frame) {
-        let mut used = HashSet::new();
-        let mut last = (None, 0);
-        let mut debt = 0;
-        let resident = self.painter.tables();
-        for &[x, _, z, level] in frame.voxel.iter().filter(|voxel| voxel[3] >= 0) {
-            let [x, z] = [x, z].map(|v| (v as u32 >> level) / TILE);
-            let key = TileKey { level: level as u32, x, z };
-            if last.0 != Some(key) {
-                used.insert(key);
-                last = (Some(key), self.pager.missing(resident, key).unwrap_or(0));
-            }
-            debt += u64::from(last.1);
-        }
-        frame.stats.paging.debt = debt;
-        frame.stats.paging.tiles_used = used.len() as u32;
     }
 }

@@ -56,7 +56,7 @@ impl Fetcher {
             return;
         }
         // One is left for the frame, and files that answer late keep a few waiting.
-        let n = std::thread::available_parallelism().map_or(2, |n| n.get().saturating_sub(1)).clamp(2, 8);
+        let n = std::thread::available_parallelism().map_or(2, |n| n.get().saturating_sub(1)).clamp(2, 16);
         for _ in 0..n {
             let shared = Arc::clone(&self.shared);
             std::thread::spawn(move || work(&shared));
@@ -100,7 +100,8 @@ impl Fetcher {
             if left <= 0.0 || (state.flying.is_empty() && state.now.is_empty()) {
                 return None;
             }
-            let left = Duration::from_secs_f64(left / 1e3);
+            // As long as a clock can say.
+            let left = Duration::from_secs_f64((left / 1e3).min(1e6));
             (state, _) = self.shared.ready.wait_timeout(state, left).expect("no worker panics with it");
         }
     }

@@ -9,7 +9,7 @@
 //!
 //! The *debt* of a frame is how many of its samples show a stand-in, each times how many levels that is coarser.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -29,6 +29,9 @@ use crate::{Error, Result};
 /// Columns of a tile.
 const COLUMNS: usize = (TILE * TILE) as usize;
 
+/// Entries that say where a tile's columns begin in a table of their colours, and where the last ends.
+const STARTS: usize = COLUMNS + 1;
+
 /// Blocks of a tile.
 const BLOCKS: usize = COLUMNS >> (2 * BLOCK_SHIFT);
 
@@ -47,6 +50,9 @@ pub struct Wanted {
     pub key: TileKey,
     pub planes: u32,
 }
+
+/// How often a frame that waits asks for a tile that cannot be had.
+const TRIES: u32 = 3;
 
 /// How long a frame waits for its tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -274,9 +280,7 @@ fn slot_bytes(heights: bool, color: ColorMode) -> u64 {
     let column = if heights { 2 } else { 8 };
     let paint = match color {
         ColorMode::None => 0,
-        ColorMode::Run => 4,
-        ColorMode::Voxel if heights => 16,
-        ColorMode::Voxel => 8,
+        ColorMode::Run | ColorMode::Voxel => 4,
     };
     (COLUMNS * (column + paint) + 4 * BLOCKS) as u64
 }
@@ -355,16 +359,15 @@ impl Pager {
                 (ColorMode::None, _) => Paint::None,
                 (ColorMode::Run, true) => Paint::Column { colors: bytemuck::zeroed_vec(n * COLUMNS) },
                 (ColorMode::Run, false) => Paint::Run { base: bytemuck::zeroed_vec(n * COLUMNS), colors: Vec::new() },
-                (ColorMode::Voxel, _) => {
-                    let base = bytemuck::zeroed_vec(2 * n * COLUMNS);
-                    Paint::Voxel { stride: 2, base, exposed: Vec::new(), colors: Vec::new() }
+                (ColorMode::Voxel, true) => Paint::Top { starts: bytemuck::zeroed_vec(n * STARTS), colors: Vec::new() },
+                (ColorMode::Voxel, false) => {
+                    let base = bytemuck::zeroed_vec(n * STARTS);
+                    Paint::Voxel { base, exposed: Vec::new(), colors: Vec::new() }
                 }
             };
-            let own_colors = self.heights && self.source.color() == ColorMode::Voxel;
-            let column_colors = if own_colors { bytemuck::zeroed_vec(2 * n * COLUMNS) } else { Vec::new() };
             let [bottom, top] = self.source.heights(l);
             let pages = Some(Pages { shift, slots: vec![0; 1 << (2 * shift)] });
-            levels.push(ResidentLevel { nx, nz, table, blocks, bottom, top, paint, column_colors, pages });
+            levels.push(ResidentLevel { nx, nz, table, blocks, bottom, top, paint, pages });
             self.levels.push(Slots {
                 slots: vec![None; n],
                 free: (1..n as u32).rev().collect(),
@@ -449,6 +452,12 @@ impl Pager {
         self.held(resident, key).map(|slot| slot.missing)
     }
 
+    /// By how many levels what stands in each slot is coarser than it should be, slots of all levels one after the other.
+    pub fn missing_by_slot(&self) -> Vec<u32> {
+        let slots = self.levels.iter().flat_map(|level| &level.slots);
+        slots.map(|slot| slot.as_ref().map_or(0, |held| held.missing)).collect()
+    }
+
     /// Bytes that tiles take.
     pub fn bytes(&self) -> u64 {
         let level = |slots: &Slots| {
@@ -505,60 +514,52 @@ impl Pager {
             return self.update(resident, setup, patience);
         }
         let before = self.now();
+        // What was asked for ahead of its frame.
+        let mut come = VecDeque::new();
+        while let Some(answer) = self.fetcher.next(0.0) {
+            come.push_back(answer);
+        }
         let mut absent: Vec<Wanted> = wanted.iter().copied().filter(|w| self.lacks(resident, w.key)).collect();
-        match patience {
-            Patience::Wait => {
-                // Some at a time: what was unpacked takes memory until it stands in the tables.
-                let mut tries = 0;
-                while !absent.is_empty() {
-                    let mut failed = Vec::new();
-                    for some in absent.chunks(4 * rayon::current_num_threads()) {
-                        let start = self.now();
-                        let read: Vec<_> = some.par_iter().map(|w| self.read(w.key)).collect();
-                        paging.unpack_ms += self.now() - start;
-                        for (w, tile) in some.iter().zip(read) {
-                            match tile {
-                                Ok(Some(tile)) => self.arrive(resident, w.key, &tile, &mut paging)?,
-                                Ok(None) => {
-                                    *resident = self.without_heights()?;
-                                    return self.update(resident, setup, patience);
-                                }
-                                Err(e) => failed.push((*w, e)),
-                            }
-                        }
-                    }
-                    tries += 1;
-                    for (w, e) in &failed {
-                        self.fault(w.key, e);
-                    }
-                    if tries == 3 {
-                        break;
-                    }
-                    absent = failed.into_iter().map(|(w, _)| w).collect();
+        let (mut tries, mut asked) = (HashMap::<TileKey, u32>::new(), false);
+        let end = match patience {
+            Patience::Wait => f64::INFINITY,
+            Patience::Deadline(ms) => before + ms,
+        };
+        if patience != Patience::Wait {
+            self.request(resident, &absent);
+        }
+        loop {
+            if come.is_empty() {
+                let put_off = |key: TileKey| match patience {
+                    Patience::Wait => tries.get(&key).is_some_and(|&n| n >= TRIES),
+                    Patience::Deadline(_) => self.is_put_off(key),
+                };
+                absent.retain(|w| self.lacks(resident, w.key) && !put_off(w.key));
+                if patience == Patience::Wait && !std::mem::replace(&mut asked, true) {
+                    let keys: Vec<TileKey> = absent.iter().map(|w| w.key).collect();
+                    self.fetcher.now(&keys, self.heights);
+                }
+                let left = if absent.is_empty() { 0.0 } else { (end - self.now()).max(0.0) };
+                come.extend(self.fetcher.next(left));
+            }
+            let Some((key, tile)) = come.pop_front() else { break };
+            match tile {
+                Ok(Some(tile)) => self.arrive(resident, key, &tile, &mut paging)?,
+                Ok(None) => {
+                    *resident = self.without_heights()?;
+                    return self.update(resident, setup, patience);
+                }
+                Err(e) => {
+                    *tries.entry(key).or_default() += 1;
+                    asked = false;
+                    self.fault(key, &e);
                 }
             }
-            Patience::Deadline(ms) => {
-                let end = before + ms;
-                self.request(resident, &absent);
-                loop {
-                    let left = end - self.now();
-                    let waits = absent.iter().any(|w| self.lacks(resident, w.key) && !self.is_put_off(w.key));
-                    let Some((key, tile)) = self.fetcher.next(if waits { left.max(0.0) } else { 0.0 }) else { break };
-                    match tile {
-                        Ok(Some(tile)) => self.arrive(resident, key, &tile, &mut paging)?,
-                        Ok(None) => {
-                            *resident = self.without_heights()?;
-                            return self.update(resident, setup, patience);
-                        }
-                        Err(e) => self.fault(key, &e),
-                    }
-                    if self.now() >= end {
-                        break;
-                    }
-                }
-                paging.unpack_ms = self.now() - before - paging.install_ms;
+            if self.now() >= end && come.is_empty() {
+                break;
             }
         }
+        paging.unpack_ms = self.now() - before - paging.install_ms;
         for w in &wanted {
             if !self.lacks(resident, w.key) {
                 continue;
@@ -777,16 +778,20 @@ impl Pager {
                     }
                 }
             }
-            (Paint::Voxel { base: out, exposed: all, colors: every, .. }, paint) => {
-                let of_columns;
-                let (base, stride, exposed, colors) = match paint {
-                    Paint::Voxel { stride, base, exposed, colors } => (base, *stride, exposed, colors),
-                    Paint::Column { colors } => {
-                        of_columns = exposed_tops(tile);
-                        (&of_columns.0, 1, &of_columns.1, colors)
-                    }
-                    _ => unreachable!("tiles are read as the world's tables are"),
-                };
+            (Paint::Top { starts: out, colors: all }, Paint::Top { colors, .. } | Paint::Column { colors }) => {
+                held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
+                grow(all, slots.colors.end)?;
+                all[part(&held.colors)].copy_from_slice(colors);
+                let out = &mut out[slot as usize * STARTS..][..STARTS];
+                put_starts(out, [nx, nz], |ix| {
+                    held.colors.start
+                        + match &tile.paint {
+                            Paint::Top { starts, .. } => starts[ix],
+                            _ => ix as u32,
+                        }
+                });
+            }
+            (Paint::Voxel { base: out, exposed: all, colors: every }, Paint::Voxel { base, exposed, colors }) => {
                 held.exposed = slots.exposed.take(exposed.len() as u32).ok_or_else(|| out_of("exposed runs"))?;
                 held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
                 grow(all, slots.exposed.end)?;
@@ -795,28 +800,8 @@ impl Pager {
                     *out = [run, at + held.colors.start];
                 }
                 every[part(&held.colors)].copy_from_slice(colors);
-                out[2 * at..2 * (at + COLUMNS)].fill(held.exposed.start);
-                for z in 0..nz {
-                    for x in 0..nx {
-                        let (to, from) = (2 * (row(z) + x), stride * (z * nx + x));
-                        out[to] = base[from] + held.exposed.start;
-                        out[to + 1] = base[from + 1] + held.exposed.start;
-                    }
-                }
-                if !level.column_colors.is_empty() {
-                    let own = &tile.column_colors;
-                    for z in 0..nz {
-                        for x in 0..nx {
-                            let (to, ix) = (2 * (row(z) + x), z * nx + x);
-                            let [from, end] = match own.is_empty() {
-                                true => [ix as u32, ix as u32 + 1],
-                                false => [own[tile.stride() * ix], own[tile.stride() * ix + 1]],
-                            };
-                            level.column_colors[to] = from + held.colors.start;
-                            level.column_colors[to + 1] = end + held.colors.start;
-                        }
-                    }
-                }
+                let out = &mut out[slot as usize * STARTS..][..STARTS];
+                put_starts(out, [nx, nz], |ix| base[ix] + held.exposed.start);
             }
             _ => unreachable!("tiles are read as the world's tables are"),
         }
@@ -851,15 +836,15 @@ impl Pager {
     }
 }
 
-/// Exposed runs for columns of one colour each: their topmost voxel.
-fn exposed_tops(tile: &ResidentLevel) -> (Vec<u32>, Vec<[u32; 2]>) {
-    let n = tile.nx as usize * tile.nz as usize;
-    let exposed = (0..n).map(|ix| {
-        let [top, _] = tile.entry(ix);
-        let last = if top == EMPTY { 0 } else { Run(top).last() };
-        [Run::new(last, last).0, ix as u32]
-    });
-    ((0..=n as u32).collect(), exposed.collect())
+/// Writes where the columns of a slot begin, of a tile that may be smaller: what it lacks begins and ends where the next does.
+fn put_starts(out: &mut [u32], [nx, nz]: [usize; 2], start: impl Fn(usize) -> u32) {
+    let (rows, rest) = out.split_at_mut(nz * TILE as usize);
+    for (z, row) in rows.chunks_mut(TILE as usize).enumerate() {
+        let (own, beyond) = row.split_at_mut(nx);
+        own.iter_mut().zip(z * nx..).for_each(|(out, ix)| *out = start(ix));
+        beyond.fill(start((z + 1) * nx));
+    }
+    rest.fill(start(nz * nx));
 }
 
 /// The tables of a tile, from one that is `k` levels coarser.
@@ -922,21 +907,16 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32) -> Result<ResidentLevel> 
             Paint::Run { base: bases, colors: all }
         }
         // One colour a column, of its top.
-        paint @ Paint::Voxel { .. } if matches!(table, Table::Heights(_)) => {
-            let color = |ix: usize| {
-                let above = above(ix);
-                let [top, _] = level.entry(above);
-                if top == EMPTY { 0 } else { paint.color(above, 0, Run(top).last().into()) }
-            };
+        Paint::Top { starts, colors } => {
+            let color = |ix: usize| level.own_colors(starts, colors, above(ix)).0.last().copied().unwrap_or(0);
             Paint::Column { colors: (0..n).map(color).collect() }
         }
-        Paint::Voxel { stride, base, exposed, colors } => {
+        Paint::Voxel { base, exposed, colors } => {
             // One colour for each exposed run: that of its highest voxel. A stand-in is seen for moments.
             let (mut bases, mut runs, mut all) = (vec![0u32], Vec::new(), Vec::new());
             for ix in 0..n {
                 let above = above(ix);
-                let own = &exposed[base[stride * above] as usize..base[stride * above + 1] as usize];
-                for &[run, at] in own {
+                for &[run, at] in level.exposed(base, exposed, above) {
                     let voxels = u32::from(Run(run).last() - Run(run).first());
                     let (first, last) = (u64::from(Run(run).first()) << k, u64::from(Run(run).last()) << k);
                     if first >= height.into() {
@@ -950,20 +930,10 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32) -> Result<ResidentLevel> 
                 }
                 bases.push(runs.len() as u32);
             }
-            Paint::Voxel { stride: 1, base: bases, exposed: runs, colors: all }
+            Paint::Voxel { base: bases, exposed: runs, colors: all }
         }
     };
-    let mut tile = ResidentLevel {
-        nx,
-        nz,
-        table,
-        blocks: Vec::new(),
-        bottom: 0,
-        top: 0,
-        paint,
-        column_colors: Vec::new(),
-        pages: None,
-    };
+    let mut tile = ResidentLevel { nx, nz, table, blocks: Vec::new(), bottom: 0, top: 0, paint, pages: None };
     tile.blocks = blocks_of(&tile);
     Ok(tile)
 }
@@ -1130,7 +1100,7 @@ mod tests {
             let mut evicted = 0;
             // Not for all of level 0, then for all.
             for (slots, lods) in
-                [(if caves { 60 } else { 40 }, &[Some(1.0), Some(3.0)][..]), (if caves { 400 } else { 80 }, &[None])]
+                [(if caves { 90 } else { 60 }, &[Some(1.0), Some(3.0)][..]), (if caves { 600 } else { 160 }, &[None])]
             {
                 let budget = slots * slot;
                 let mut paged =

@@ -45,10 +45,6 @@ pub struct ResidentLevel {
     pub bottom: u32,
     pub top: u32,
     pub paint: Paint,
-    /// Of heights with a colour a voxel: how many colours come before each column's, and in all, so that column `i` has those
-    /// from `[s·i]` to `[s·i + 1]`, with [`ResidentLevel::stride`]; else empty. A column's own colours are those of its topmost
-    /// voxels and, below those that are hidden, of voxel 0.
-    pub column_colors: Vec<u32>,
     /// Where its columns stand, unless that is row by row.
     pub pages: Option<Pages>,
 }
@@ -115,15 +111,21 @@ pub enum Paint {
     Height {
         colors: Vec<u32>,
     },
+    /// Of a level with heights: column `i` has the colours `colors[starts[s] .. starts[s + 1]]` with `s` as
+    /// [`ResidentLevel::start`] says it: those of its topmost voxels, the lowest first. Where it hides voxels below those, the
+    /// first is voxel 0's.
+    Top {
+        starts: Vec<u32>,
+        colors: Vec<u32>,
+    },
     /// Colour of run `k` (from the top down) of column `i`: `colors[base[i] + k]`.
     Run {
         base: Vec<u32>,
         colors: Vec<u32>,
     },
-    /// Column `i` has exposed runs `exposed[base[s·i] .. base[s·i + 1]]`, ascending, each with the place of its lowest
-    /// voxel's colour. `s` is 1 where columns come one after the other, 2 where each has an end of its own.
+    /// Column `i` has exposed runs `exposed[base[s] .. base[s + 1]]` with `s` as [`ResidentLevel::start`] says it, ascending, each
+    /// with the place of its lowest voxel's colour.
     Voxel {
-        stride: usize,
         base: Vec<u32>,
         exposed: Vec<[u32; 2]>,
         colors: Vec<u32>,
@@ -189,6 +191,7 @@ impl Resident {
             let paint = match &l.paint {
                 Paint::None => 0,
                 Paint::Column { colors } | Paint::Height { colors } => 4 * colors.len(),
+                Paint::Top { starts, colors } => 4 * (starts.len() + colors.len()),
                 Paint::Run { base, colors } => 4 * (base.len() + colors.len()),
                 Paint::Voxel { base, exposed, colors, .. } => 4 * (base.len() + colors.len()) + 8 * exposed.len(),
             };
@@ -196,7 +199,7 @@ impl Resident {
                 Table::Runs { columns, runs } => 8 * columns.len() + 4 * runs.len(),
                 Table::Heights(heights) => 2 * heights.len(),
             };
-            (table + 4 * (l.blocks.len() + l.column_colors.len()) + paint) as u64
+            (table + 4 * l.blocks.len() + paint) as u64
         };
         self.levels.iter().map(level).sum::<u64>()
             + self.fractions.len() as u64
@@ -213,7 +216,6 @@ impl ResidentLevel {
         let geometry = level.geometry(encoding);
         let (nx, nz) = (geometry.nx(), geometry.nz());
         let table = if heights { height_table(geometry)? } else { run_table(geometry)? };
-        let mut column_colors = Vec::new();
         let paint = match color {
             ColorMode::None => Paint::None,
             ColorMode::Run if heights => column_paint(geometry, |ix| level.colors[geometry.range(ix)].first())?,
@@ -221,14 +223,12 @@ impl ResidentLevel {
             ColorMode::Voxel => {
                 let exposed = level.exposed.as_ref().expect("voxel colours come with exposed runs");
                 let first = first_voxels(exposed)?;
-                if heights && one_color_each(&first, &level.colors) {
+                if !heights {
+                    voxel_paint(exposed, &first, &level.colors)?
+                } else if one_color_each(&first, &level.colors) {
                     column_paint(geometry, |ix| level.colors[first[ix] as usize..first[ix + 1] as usize].first())?
                 } else {
-                    let paint = voxel_paint(exposed, &first, &level.colors)?;
-                    if heights {
-                        column_colors = first;
-                    }
-                    paint
+                    Paint::Top { starts: first, colors: packed(&level.colors) }
                 }
             }
         };
@@ -237,7 +237,15 @@ impl ResidentLevel {
         let (bottom, top) = found
             .map(|&block| (block & 0xFFFF, (block >> 16) + 1))
             .reduce(|| (u32::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
-        Ok(ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, column_colors, pages: None })
+        Ok(ResidentLevel { nx, nz, table, blocks, bottom: bottom.min(top), top, paint, pages: None })
+    }
+
+    /// Columns that the tables have room for.
+    pub fn n_columns(&self) -> usize {
+        match &self.table {
+            Table::Runs { columns, .. } => columns.len(),
+            Table::Heights(heights) => heights.len(),
+        }
     }
 
     /// Number of a column in the tables; `x` and `z` lie within the level.
@@ -267,11 +275,52 @@ impl ResidentLevel {
         if self.pages.is_some() { TILE as usize } else { self.nx as usize }
     }
 
-    /// How many starts a column has in [`ResidentLevel::column_colors`]: with its end, where columns do not come one after the
-    /// other.
+    /// Where [`Paint::Top`] and [`Paint::Voxel`] say where column number `ix` begins; the next entry is its end. A slot has one entry
+    /// more than columns.
     #[inline(always)]
-    pub fn stride(&self) -> usize {
-        if self.pages.is_some() { 2 } else { 1 }
+    pub fn start(&self, ix: usize) -> usize {
+        if self.pages.is_some() { ix + (ix >> (2 * TILE_SHIFT)) } else { ix }
+    }
+
+    /// Colour of voxel `y` (of this level) in run number `k` (from the top down) of column number `ix`. A voxel without
+    /// a colour of its own (interior: the eye is inside it) takes that of the nearest exposed run below.
+    #[inline(always)]
+    pub fn color(&self, ix: usize, k: u32, y: u32) -> u32 {
+        match &self.paint {
+            Paint::None => UNPAINTED,
+            Paint::Column { colors } => colors[ix],
+            Paint::Height { colors } => colors[y as usize],
+            Paint::Top { starts, colors } => {
+                let (own, hidden) = self.own_colors(starts, colors, ix);
+                own.get(y.saturating_sub(hidden) as usize).copied().unwrap_or(UNPAINTED)
+            }
+            Paint::Run { base, colors } => colors[(base[ix] + k) as usize],
+            Paint::Voxel { base, exposed, colors } => {
+                let column = self.exposed(base, exposed, ix);
+                if column.is_empty() {
+                    return UNPAINTED;
+                }
+                let [run, start] = column[nearest_exposed(column, y)];
+                let (first, last) = (u32::from(Run(run).first()), u32::from(Run(run).last()));
+                colors[(start + y.clamp(first, last) - first) as usize]
+            }
+        }
+    }
+
+    /// The exposed runs of a column of [`Paint::Voxel`].
+    #[inline(always)]
+    pub fn exposed<'a>(&self, base: &[u32], exposed: &'a [[u32; 2]], ix: usize) -> &'a [[u32; 2]] {
+        let at = self.start(ix);
+        &exposed[base[at] as usize..base[at + 1] as usize]
+    }
+
+    /// Of a column of [`Paint::Top`] its colours, and the voxel from which on there is one each; those below have the first.
+    #[inline(always)]
+    pub fn own_colors<'a>(&self, starts: &[u32], colors: &'a [u32], ix: usize) -> (&'a [u32], u32) {
+        let at = self.start(ix);
+        let own = &colors[starts[at] as usize..starts[at + 1] as usize];
+        let [top, _] = self.entry(ix);
+        (own, ((top >> 16) + 1).saturating_sub(own.len() as u32))
     }
 
     /// The topmost run of column number `ix`, [`EMPTY`] where it has none, and where the others stand in the table's runs.
@@ -503,11 +552,15 @@ fn voxel_paint(exposed: &Columns, first: &[u32], colors: &[Rgb]) -> Result<Paint
             at += run.len();
         }
     })?;
+    Ok(Paint::Voxel { base, exposed: runs, colors: packed(colors) })
+}
+
+fn packed(colors: &[Rgb]) -> Vec<u32> {
     let mut packed = vec![0; colors.len()];
     packed.par_chunks_mut(PART).zip(colors.par_chunks(PART)).for_each(|(out, colors)| {
         out.iter_mut().zip(colors).for_each(|(out, &c)| *out = pack_rgb(c));
     });
-    Ok(Paint::Voxel { stride: 1, base, exposed: runs, colors: packed })
+    packed
 }
 
 impl Paint {
@@ -517,29 +570,9 @@ impl Paint {
             Paint::None => &[UNPAINTED],
             Paint::Column { colors }
             | Paint::Height { colors }
+            | Paint::Top { colors, .. }
             | Paint::Run { colors, .. }
             | Paint::Voxel { colors, .. } => colors,
-        }
-    }
-
-    /// Colour of voxel `y` (of this level) in run number `k` (from the top down) of column number `ix`. A voxel without
-    /// a colour of its own (interior: the eye is inside it) takes that of the nearest exposed run.
-    #[inline(always)]
-    pub fn color(&self, ix: usize, k: u32, y: u32) -> u32 {
-        match self {
-            Paint::None => UNPAINTED,
-            Paint::Column { colors } => colors[ix],
-            Paint::Height { colors } => colors[y as usize],
-            Paint::Run { base, colors } => colors[(base[ix] + k) as usize],
-            Paint::Voxel { stride, base, exposed, colors } => {
-                let column = &exposed[base[stride * ix] as usize..base[stride * ix + 1] as usize];
-                if column.is_empty() {
-                    return UNPAINTED;
-                }
-                let [run, start] = column[nearest_exposed(column, y)];
-                let (first, last) = (u32::from(Run(run).first()), u32::from(Run(run).last()));
-                colors[(start + y.clamp(first, last) - first) as usize]
-            }
         }
     }
 }
@@ -603,7 +636,7 @@ mod tests {
                     ((z >> BLOCK_SHIFT) * geometry.nx().div_ceil(1 << BLOCK_SHIFT) + (x >> BLOCK_SHIFT)) as usize;
                 widen(&mut blocks[block], *lowest, *highest);
                 for (k, run) in expected.iter().enumerate() {
-                    let color = |y| tables.paint.color(ix, k as u32, y);
+                    let color = |y| tables.color(ix, k as u32, y);
                     match scene.color {
                         ColorMode::None => assert_eq!(color(run.first().into()), UNPAINTED),
                         ColorMode::Run => {
@@ -647,7 +680,7 @@ mod tests {
             // Of level 0, whose colours are those of the map itself.
             let one_each = matches!(resident.levels[0].paint, Paint::Column { .. });
             assert_eq!(one_each, draped || color == ColorMode::Run);
-            assert_eq!(resident.levels[0].column_colors.is_empty(), one_each);
+            assert_eq!(matches!(resident.levels[0].paint, Paint::Top { .. }), !one_each);
         }
     }
 }

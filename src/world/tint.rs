@@ -57,7 +57,6 @@ impl Tint {
             // One more, so that a world of air has a table too.
             let heights = 0..=resident.dims[1].div_ceil(1 << l);
             level.paint = Paint::Height { colors: heights.map(color).collect() };
-            level.column_colors = Vec::new();
         }
         resident.color = ColorMode::None;
     }
@@ -156,7 +155,7 @@ mod tests {
         tint.paint(&mut tinted);
         assert!(tinted.bytes() < plain.bytes() + 4 * 600);
         let grey = |l: usize, y: u32| {
-            let [r, g, b, a] = tinted.levels[l].paint.color(7, 0, y).to_le_bytes();
+            let [r, g, b, a] = tinted.levels[l].color(7, 0, y).to_le_bytes();
             assert_eq!([r, r, 255], [g, b, a]);
             i32::from(r)
         };
@@ -172,7 +171,7 @@ mod tests {
         let tint = Tint::new(name, &about).unwrap().unwrap();
         assert!(Tint::new(name, &About::default()).unwrap_err().to_string().contains("give shares instead"));
         tint.paint(&mut tinted);
-        assert_eq!(tinted.levels[0].paint.color(0, 0, 198).to_le_bytes(), [10, 20, 250, 255]);
+        assert_eq!(tinted.levels[0].color(0, 0, 198).to_le_bytes(), [10, 20, 250, 255]);
         assert!(Tint::new("none", &about).unwrap().is_none());
         assert!(Tint::new("no such", &about).is_err());
     }

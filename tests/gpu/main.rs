@@ -24,7 +24,11 @@ use planecast::{
 };
 use planecast_encoder::model::matter::{Class, Classes, Matter, Mode};
 use planecast_encoder::source::procedural::{Kind, procedural};
-use planecast_encoder::{About, BuildOptions, ColorMode, Colors, Columns, Encoding, Input, PcastFile, Scene, build};
+use planecast_encoder::{
+    About, BuildOptions, ColorMode, Colors, Columns, Encoding, Input, Level, PcastFile, Scene, TileKey, TileSource,
+    build,
+};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 const VOXEL: Outputs = Outputs { voxel: true };
@@ -754,6 +758,74 @@ fn scenes_beyond_a_binding_are_cut_into_several() {
     }
 }
 
+/// A world whose finest tiles cannot be had.
+struct Blunt(PcastFile);
+
+impl TileSource for Blunt {
+    fn name(&self) -> String {
+        "blunt".into()
+    }
+
+    fn dims(&self) -> [u32; 3] {
+        self.0.dims()
+    }
+
+    fn color(&self) -> ColorMode {
+        TileSource::color(&self.0)
+    }
+
+    fn heights(&self, level: u32) -> [u32; 2] {
+        self.0.heights(level)
+    }
+
+    fn is_height_field(&self) -> bool {
+        self.0.is_height_field()
+    }
+
+    fn is_empty(&self, key: TileKey) -> bool {
+        self.0.is_empty(key)
+    }
+
+    fn tile(&self, key: TileKey) -> planecast_encoder::Result<Level> {
+        match key.level {
+            0 => Err(planecast_encoder::Error::Limit("it is out".into())),
+            _ => TileSource::tile(&self.0, key),
+        }
+    }
+}
+
+#[test]
+fn debt_is_counted_on_the_device_as_on_the_cpu() {
+    if !gpu_wanted() {
+        return;
+    }
+    let worlds = [
+        world(Kind::Terrain, 700, Encoding::Solid, ColorMode::None),
+        world(Kind::Rocks, 600, Encoding::Solid, ColorMode::Voxel),
+    ];
+    for world in worlds {
+        let mut file = std::io::Cursor::new(Vec::new());
+        let path = std::path::Path::new("tiles.pcast");
+        planecast_encoder::format::write::write_scene_to(&world.scene, &mut file, path).unwrap();
+        let source = Arc::new(Blunt(PcastFile::from_bytes(path, file.into_inner()).unwrap()));
+        let [cpu, gpu] = [Device::Cpu, Device::Gpu].map(|device| {
+            let source = source.clone();
+            let mut tiles = Renderer::of_tiles(source, device, 256 << 20, Patience::Wait, None, &mut |_| ()).unwrap();
+            poses(&world)
+                .into_iter()
+                .take(2)
+                .map(|camera| tiles.draw(&camera, &Options::default()).unwrap().stats.paging)
+                .collect::<Vec<_>>()
+        });
+        for (cpu, gpu) in cpu.into_iter().zip(gpu) {
+            assert!(cpu.debt > 100, "{cpu:?}");
+            // Few pixels show other voxels on one than on the other.
+            assert!(cpu.debt.abs_diff(gpu.debt) * 100 <= cpu.debt, "{} and {}", cpu.debt, gpu.debt);
+            assert_eq!((cpu.tiles_wanted, cpu.tiles_missing), (gpu.tiles_wanted, gpu.tiles_missing));
+        }
+    }
+}
+
 #[test]
 fn worlds_in_tiles_are_drawn_as_whole_ones() {
     if !gpu_wanted() {
@@ -791,15 +863,24 @@ fn worlds_in_tiles_are_drawn_as_whole_ones() {
         let source = Arc::new(PcastFile::from_bytes(path, file.into_inner()).unwrap());
         let mut tiles = Renderer::of_tiles(source, Device::Gpu, 256 << 20, Patience::Wait, tint, &mut |_| ()).unwrap();
         let mut whole = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+        tiles.set_count(true);
         let mut uploaded = 0;
-        for camera in poses(&world).into_iter().take(2) {
-            let expected = whole.render(&camera, &Options::default(), VOXEL).unwrap();
-            let frame = tiles.draw_with(&camera, &Options::default(), VOXEL, &mut |_| ()).unwrap();
+        let poses: Vec<Camera> = poses(&world).into_iter().take(3).collect();
+        for (i, camera) in poses.iter().enumerate() {
+            let expected = whole.render(camera, &Options::default(), VOXEL).unwrap();
+            // The next ones are on their way meanwhile.
+            let frame = tiles.draw_first(&poses[i..], &Options::default(), VOXEL, &mut |_| ()).unwrap();
             assert!(frame.voxel == expected.voxel, "{name} {camera:?}");
             assert!(frame.color == expected.color && frame.depth == expected.depth, "{name} {camera:?}");
-            assert_eq!(frame.stats.paging.debt, 0);
+            let shown = frame.voxel.iter().filter(|v| v[3] >= 0);
+            let shown: HashSet<_> = shown.map(|&[x, _, z, l]| [x >> l >> 8, z >> l >> 8, l]).collect();
+            assert_eq!((frame.stats.paging.debt, frame.stats.paging.tiles_used as usize), (0, shown.len()));
             uploaded += frame.stats.paging.bytes_uploaded;
         }
+        // Another frame than the one that was sent ahead.
+        tiles.draw_first(&[poses[0], poses[1]], &Options::default(), VOXEL, &mut |_| ()).unwrap();
+        let frame = tiles.draw_first(&[poses[2]], &Options::default(), VOXEL, &mut |_| ()).unwrap();
+        assert!(frame.voxel == whole.render(&poses[2], &Options::default(), VOXEL).unwrap().voxel, "{name}");
         assert!(uploaded > 0);
     }
 }

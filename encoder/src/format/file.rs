@@ -627,7 +627,8 @@ impl TileSource for PcastFile {
     }
 
     fn is_height_field(&self) -> bool {
-        self.about.kind == Some(Kind::Terrain) && self.encoding == Encoding::Solid
+        // What does not say what it is may be: the first tiles show otherwise.
+        matches!(self.about.kind, None | Some(Kind::Terrain | Kind::Procedural)) && self.encoding == Encoding::Solid
     }
 
     fn is_empty(&self, key: TileKey) -> bool {

@@ -267,7 +267,9 @@ impl TileSource for RangedFile {
     }
 
     fn is_height_field(&self) -> bool {
-        self.about.kind == Some(Kind::Terrain) && self.outline.encoding == Encoding::Solid
+        // What does not say what it is may be: the first tiles show otherwise.
+        matches!(self.about.kind, None | Some(Kind::Terrain | Kind::Procedural))
+            && self.outline.encoding == Encoding::Solid
     }
 
     fn is_empty(&self, key: TileKey) -> bool {

@@ -493,7 +493,9 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
         let mut from = lo;
         while shows != 0 {
             let i = lane(shows.trailing_zeros() as usize);
-            prefetch(&level.column_colors, level.stride() * strip.column[i] as usize);
+            if let Paint::Top { starts, .. } = &level.paint {
+                prefetch(starts, level.start(strip.column[i] as usize));
+            }
             self.item(strip, &shape, i, [from, shape.front[i], shape.end[i]]);
             from = shape.end[i];
             shows &= shows - 1;
@@ -602,13 +604,12 @@ impl<'a, R: Real, const VOXEL: bool> Ground<'a, R, VOXEL> {
         let (colors, foot) = (level.paint.colors(), self.foot);
         for (item, number) in self.items.iter().zip(0..) {
             let (start, hidden) = match &level.paint {
-                Paint::Voxel { .. } => {
-                    let column = item.column as usize;
-                    let column = level.stride() * column;
-                    let (start, end) = (level.column_colors[column], level.column_colors[column + 1]);
-                    (start, item.height - (end - start))
+                Paint::Top { starts, .. } => {
+                    let at = level.start(item.column as usize);
+                    (starts[at], item.height.saturating_sub(starts[at + 1] - starts[at]))
                 }
-                Paint::None => (0, u32::MAX),
+                // Tables of heights have no exposed runs.
+                Paint::None | Paint::Voxel { .. } => (0, u32::MAX),
                 Paint::Column { .. } => (item.column, u32::MAX),
                 Paint::Height { .. } => (0, 0),
                 Paint::Run { base, .. } => (base[item.column as usize], u32::MAX),
