@@ -227,6 +227,8 @@ impl Paged {
         self.pager.take_notices().iter().for_each(|what| tell(what));
         // What comes after those meanwhile.
         if let Some(next) = cameras().nth(self.ahead.len()) {
+            // As fine as the latest was: the budget may hold no more.
+            let options = Options { lod: self.lod(&options), ..options };
             let plan = FramePlan::new(self.painter.tables(), next, &options);
             self.pager.prefetch(self.painter.tables(), &plan.setup);
             self.next = Some(plan);
@@ -325,17 +327,21 @@ impl Paged {
         Ok(Options { shadows: false, smooth: false, normals, ..options })
     }
 
+    /// The level of detail that is drawn of what was asked for.
+    fn lod(&self, options: &Options) -> Option<f64> {
+        match self.coarser > 1.0 {
+            false => options.lod,
+            true => Some(options.lod.unwrap_or(FINEST) * self.coarser),
+        }
+    }
+
     /// Brings the tiles of a frame, and says how fine it can be drawn.
     fn bring(&mut self, camera: &Camera, options: &Options) -> Result<(FramePlan, Paging)> {
         let patience = self.patience;
         // Back to what was asked for bit by bit, so that no two frames differ much.
         self.coarser = (self.coarser / COARSER.sqrt()).max(1.0);
         loop {
-            let lod = match (options.lod, self.coarser > 1.0) {
-                (lod, false) => lod,
-                (lod, true) => Some(lod.unwrap_or(FINEST) * self.coarser),
-            };
-            let drawn = Options { lod, ..*options };
+            let drawn = Options { lod: self.lod(options), ..*options };
             let plan = match self.next.take().filter(|plan| plan.is_of(camera, &drawn)) {
                 Some(plan) => plan,
                 None => self.painter.plan(camera, &drawn),

@@ -76,6 +76,14 @@ struct Slot {
     colors: Range<u32>,
 }
 
+impl Slot {
+    /// Bytes of its runs and colours beside the slot.
+    fn beside(&self) -> u64 {
+        let of = |part: &Range<u32>, bytes: u64| bytes * u64::from(part.end - part.start);
+        of(&self.runs, 4) + of(&self.exposed, 8) + of(&self.colors, 4)
+    }
+}
+
 /// Parts of a table that grows: which are free.
 #[derive(Clone, Debug, Default)]
 struct Parts {
@@ -183,6 +191,8 @@ pub struct Pager {
     changes: Vec<Change>,
     /// Slots that each level has had use for.
     shares: Vec<u64>,
+    /// Bytes of runs and colours beside the slots, of all tiles that came, and how many those were.
+    beside: (u64, u64),
     faults: HashMap<TileKey, Fault>,
     told: HashSet<TileKey>,
     notices: Vec<String>,
@@ -305,6 +315,7 @@ impl Pager {
             frame: 0,
             changes: Vec::new(),
             shares: Vec::new(),
+            beside: (0, 0),
             faults: HashMap::new(),
             told: HashSet::new(),
             notices: Vec::new(),
@@ -318,19 +329,26 @@ impl Pager {
         slot_bytes(self.heights, self.source.color())
     }
 
+    /// How many slots a level gets of so many that it would have.
+    fn share(&self, l: u32, n: u64) -> u64 {
+        let tiles = grids(self.source.dims())[l as usize].n_tiles();
+        n.max(if tiles <= PINNED { tiles } else { 4 }).min(tiles)
+    }
+
+    /// Bytes that a tile takes, with what the tiles that came so far had beside their slots.
+    fn tile_bytes(&self) -> u64 {
+        self.slot_bytes() + self.beside.0 / self.beside.1.max(1)
+    }
+
     /// Empty tables, but for the coarsest levels. What was asked for before is forgotten.
     fn restart(&mut self) -> Result<Resident> {
         self.fetcher.restart();
         let dims = self.source.dims();
         let n_levels = self.source.levels();
         let grids = grids(dims);
-        let tiles = |l: u32| grids[l as usize].n_tiles();
-        let pinned = |l: u32| tiles(l) <= PINNED;
+        let pinned = |l: u32| grids[l as usize].n_tiles() <= PINNED;
         self.shares.resize(n_levels as usize, 1);
-        for (l, share) in (0..n_levels).zip(&mut self.shares) {
-            let least = if pinned(l) { tiles(l) } else { 4 };
-            *share = (*share).max(least).min(tiles(l));
-        }
+        self.shares = (0..).zip(&self.shares).map(|(l, &share)| self.share(l, share)).collect();
         let need = self.shares.iter().sum::<u64>() * self.slot_bytes();
         if need > self.budget {
             return Err(Error::Limit(format!(
@@ -392,7 +410,7 @@ impl Pager {
         let read: Vec<Result<Option<Tile>>> = pinned.par_iter().map(|&key| self.read(key)).collect();
         for (key, tile) in pinned.into_iter().zip(read) {
             match tile? {
-                Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables)?,
+                Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables, self.frame)?,
                 None => return self.without_heights(),
             }
         }
@@ -460,12 +478,8 @@ impl Pager {
 
     /// Bytes that tiles take.
     pub fn bytes(&self) -> u64 {
-        let level = |slots: &Slots| {
-            let of = |part: &Range<u32>, bytes: u64| bytes * u64::from(part.end - part.start);
-            let held = slots.slots.iter().flatten();
-            held.map(|slot| self.slot_bytes() + of(&slot.runs, 4) + of(&slot.exposed, 8) + of(&slot.colors, 4))
-                .sum::<u64>()
-        };
+        let level =
+            |slots: &Slots| slots.slots.iter().flatten().map(|slot| self.slot_bytes() + slot.beside()).sum::<u64>();
         self.levels.iter().map(level).sum()
     }
 
@@ -482,6 +496,7 @@ impl Pager {
         for w in empty {
             self.clear(resident, w.key);
         }
+        let keys: HashSet<TileKey> = wanted.iter().map(|w| w.key).collect();
         let mut per_level = vec![0usize; self.levels.len()];
         for w in &wanted {
             per_level[w.key.level as usize] += 1;
@@ -492,21 +507,18 @@ impl Pager {
             }
         }
         if per_level.iter().zip(&self.levels).any(|(&n, level)| n >= level.slots.len()) {
-            // A half more, since the next frames want more or less.
-            let shares = per_level.iter().zip(&self.shares).map(|(&n, &share)| (n as u64 * 3 / 2).max(share.min(4)));
-            let shares: Vec<u64> = shares.collect();
-            let tight: u64 = per_level.iter().map(|&n| n as u64 + 1).sum();
-            let loose: u64 = shares.iter().sum();
-            let most = self.budget / self.slot_bytes();
-            let before = std::mem::take(&mut self.shares);
-            self.shares = match (loose <= most, tight <= most) {
-                (true, _) => shares,
-                (_, true) => per_level.iter().map(|&n| n as u64 + 1).collect(),
-                _ => before,
+            // More, since the next frames want more or less: a half where the budget holds that, else an eighth. With none to spare
+            // every other frame would begin anew.
+            let most = self.budget / self.tile_bytes();
+            let shares = |more: fn(u64) -> u64| -> Vec<u64> {
+                let wanted = (0..).zip(&per_level).zip(&self.shares);
+                wanted.map(|((l, &n), &share)| self.share(l, more(n as u64).max(share.min(4)))).collect()
             };
-            if tight > most {
+            let roomy = [shares(|n| n * 3 / 2), shares(|n| n * 9 / 8 + 2)];
+            let Some(shares) = roomy.into_iter().find(|shares| shares.iter().sum::<u64>() <= most) else {
                 return Ok(None);
-            }
+            };
+            self.shares = shares;
             *resident = match self.restart() {
                 Err(Error::Limit(_)) => return Ok(None),
                 tables => tables?,
@@ -544,7 +556,11 @@ impl Pager {
             }
             let Some((key, tile)) = come.pop_front() else { break };
             match tile {
-                Ok(Some(tile)) => self.arrive(resident, key, &tile, &mut paging)?,
+                Ok(Some(tile)) => {
+                    // What nobody wants yet goes first when room is short.
+                    let used = if keys.contains(&key) { self.frame } else { self.frame - 1 };
+                    self.arrive(resident, key, &tile, used, &mut paging)?;
+                }
                 Ok(None) => {
                     *resident = self.without_heights()?;
                     return self.update(resident, setup, patience);
@@ -645,10 +661,17 @@ impl Pager {
         self.fetcher.now(&asked, self.heights);
     }
 
-    fn arrive(&mut self, resident: &mut Resident, key: TileKey, tile: &Tile, paging: &mut Paging) -> Result<()> {
+    fn arrive(
+        &mut self,
+        resident: &mut Resident,
+        key: TileKey,
+        tile: &Tile,
+        used: u64,
+        paging: &mut Paging,
+    ) -> Result<()> {
         self.faults.remove(&key);
         let start = self.now();
-        if self.install(resident, key, 0, &tile.tables)?.is_some_and(|evicted| {
+        if self.install(resident, key, 0, &tile.tables, used)?.is_some_and(|evicted| {
             paging.evicted += u32::from(evicted);
             true
         }) {
@@ -697,10 +720,11 @@ impl Pager {
         key: TileKey,
         missing: u32,
         tile: &ResidentLevel,
+        used: u64,
     ) -> Result<Option<bool>> {
         let l = key.level as usize;
         let own = self.held(resident, key);
-        let (known, used) = (own.is_some(), own.map_or(self.frame, |slot| slot.used));
+        let (known, used) = (own.is_some(), own.map_or(used, |slot| slot.used));
         let mut evicted = false;
         // Whatever stands at its place in the window is a whole window away.
         let there = Pager::slot_at(resident, key);
@@ -806,6 +830,10 @@ impl Pager {
             _ => unreachable!("tiles are read as the world's tables are"),
         }
         let (runs, exposed, colors) = (held.runs.clone(), held.exposed.clone(), held.colors.clone());
+        if missing == 0 {
+            self.beside.0 += held.beside();
+            self.beside.1 += 1;
+        }
         slots.slots[slot as usize] = Some(held);
         let pages = level.pages.as_mut().expect("a paged level has pages");
         let place = pages.place(key.x, key.z);
@@ -829,7 +857,7 @@ impl Pager {
             return Ok(());
         }
         let tile = stand_in(resident, key, k)?;
-        if let Some(evicted) = self.install(resident, key, k, &tile)? {
+        if let Some(evicted) = self.install(resident, key, k, &tile, self.frame)? {
             paging.evicted += u32::from(evicted);
         }
         Ok(())
