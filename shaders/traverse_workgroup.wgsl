@@ -51,9 +51,6 @@ const RUN_MANY: u32 = 4095u;
 const EPOCH: i32 = 520000;
 //!endif
 const GROUP: i32 = BLOCK_SIZE;
-//!if PAGED
-const PLANE_TILES: u32 = 128u;
-//!endif
 
 // Counters of all planes, then keys that do not fit in workgroup memory.
 @group(0) @binding(6) var<storage, read_write> scratch: array<atomic<u32>>;
@@ -72,15 +69,6 @@ var<workgroup> level_t: array<f32, MAX_LEVELS + 1>;
 var<workgroup> level_cell: array<i32, MAX_LEVELS>;
 var<workgroup> level_slice: array<i32, MAX_LEVELS + 1>;
 var<workgroup> level_group: array<i32, MAX_LEVELS + 1>;
-
-//!if PAGED
-// The slots of the first tiles along the plane, by level and step along the longer axis, so that a walk does not wait for
-// pages: of two tiles side by side, the even one and the odd one across, each with its number there. Others are looked up.
-var<workgroup> tile_slots: array<vec2<u32>, 2u * PLANE_TILES>;
-// How many tiles the levels before have.
-var<workgroup> level_tile: array<i32, MAX_LEVELS + 1>;
-
-//!endif
 
 // The groups under test, level 5 | number within the level 27; in `settle` least keys of parts of two rows.
 //!if GROUND
@@ -284,28 +272,8 @@ fn cell_of(along: i32, across: i32) -> vec2<i32> {
     return select(vec2(across, along), vec2(along, across), major == 0u);
 }
 
-//!if PAGED
-fn plane_slot(l: u32, cell: vec2<i32>) -> u32 {
-    let along = select(cell.y, cell.x, major == 0u) >> TILE_SHIFT;
-    let across = select(cell.x, cell.y, major == 0u) >> TILE_SHIFT;
-    let k = (along - (level_cell[l] >> TILE_SHIFT)) * step_major;
-    let i = level_tile[l] + k;
-    if (k >= 0 && i < min(level_tile[l + 1u], i32(PLANE_TILES))) {
-        let known = tile_slots[2u * u32(i) + u32(across & 1)];
-        if (known.y == u32(across)) {
-            return known.x;
-        }
-    }
-    return slot_of(l, vec2<u32>(cell));
-}
-
-//!endif
 fn column_at(l: u32, cell: vec2<i32>) -> u32 {
-//!if PAGED
-    return column_in(plane_slot(l, cell), vec2<u32>(cell));
-//!else
     return column_index(l, wrap(cell.x, levels[l].size.x), wrap(cell.y, levels[l].size.y));
-//!endif
 }
 
 // Slopes just within the window: what meets no sample's centre need not be drawn.
@@ -323,12 +291,6 @@ fn reset_turn(turn: u32) {
     atomicStore(&turns[turn].open_hi, -1);
 }
 
-//!if PAGED
-fn slot_of_tile(l: u32, along: i32, across: i32) -> u32 {
-    return slot_of(l, vec2<u32>(cell_of(along, across) << vec2(TILE_SHIFT)));
-}
-
-//!endif
 // Lays out the levels along the plane.
 fn begin(lane: u32) {
     origin = plane.first & ~(BLOCK - 1);
@@ -372,7 +334,6 @@ fn begin(lane: u32) {
         to = max(start, to);
         var cells = vec2(0);
         var n = vec2(0);
-        var tiles = 0;
         if (l >= plane.lod_first && to > start) {
             cells.x = select(plane.cell.y, plane.cell.x, along_x) >> l;
             if (start > plane.t_start) {
@@ -381,7 +342,6 @@ fn begin(lane: u32) {
             cells.y = locate(major, to, l);
             n.x = max((cells.y - cells.x) * step_major, 0) + 1;
             n.y = max(((cells.y >> BLOCK_SHIFT) - (cells.x >> BLOCK_SHIFT)) * step_major, 0) + 1;
-            tiles = max(((cells.y >> TILE_SHIFT) - (cells.x >> TILE_SHIFT)) * step_major, 0) + 1;
         } else {
             to = start;
         }
@@ -389,23 +349,11 @@ fn begin(lane: u32) {
         level_t[l] = start;
         level_slice[l] = n.x;
         level_group[l] = n.y;
-//!if PAGED
-        level_tile[l] = tiles;
-//!endif
     }
     sync();
     if (lane == 0u) {
         var slices = 0;
         var groups = 0;
-//!if PAGED
-        var all_tiles = 0;
-        for (var l = 0u; l < level_count(); l++) {
-            let n = level_tile[l];
-            level_tile[l] = all_tiles;
-            all_tiles += n;
-        }
-        level_tile[level_count()] = all_tiles;
-//!endif
         for (var l = 0u; l < level_count(); l++) {
             let n = vec2(level_slice[l], level_group[l]);
             level_slice[l] = slices;
@@ -418,29 +366,6 @@ fn begin(lane: u32) {
         level_t[level_count()] = plane.t_end;
     }
     sync();
-//!if PAGED
-    let last = min(level_tile[level_count()], i32(PLANE_TILES));
-    for (var i = i32(lane); i < last; i += i32(WIDTH)) {
-        var l = 0u;
-        while (i >= level_tile[l + 1u]) {
-            l += 1u;
-        }
-        let along = (level_cell[l] >> TILE_SHIFT) + (i - level_tile[l]) * step_major;
-        // Where the plane comes into the tile, and where it leaves.
-        let near = (along + select(1, 0, step_major > 0)) << (TILE_SHIFT + l);
-        let far = (along + select(0, 1, step_major > 0)) << (TILE_SHIFT + l);
-        let t0 = max(cross_major(near), level_t[l]);
-        let t1 = min(cross_major(far), level_t[l + 1u]);
-        let across = vec2(minor_at(l, t0).at, minor_at(l, t1).at) >> vec2(TILE_SHIFT);
-        let slots = vec2(slot_of_tile(l, along, across.x), slot_of_tile(l, along, across.y));
-        tile_slots[2u * u32(i) + u32(~across.x & 1)] = vec2(0u, NONE);
-        tile_slots[2u * u32(i) + u32(across.x & 1)] = vec2(slots.x, u32(across.x));
-        if (across.y != across.x) {
-            tile_slots[2u * u32(i) + u32(across.y & 1)] = vec2(slots.y, u32(across.y));
-        }
-    }
-    sync();
-//!endif
     lo = plane.first;
     hi = plane.end;
 //!if GROUND
@@ -503,11 +428,7 @@ fn group_of(l: u32, n: i32) -> Group {
         while (b <= last) {
             let wb = wrap(b, size_minor);
             let w = cell_of(wa, wb);
-//!if PAGED
-            let block = block_in(l, plane_slot(l, w), vec2<u32>(w));
-//!else
             let block = block_of(l, w);
-//!endif
 //!if GROUND
             // Where there is none, the ground's underside hides what lies behind it.
             out.top = max(out.top, height(select(run_end(block), 0, block == EMPTY) << l));

@@ -67,26 +67,14 @@ fn slot_of(l: u32, cell: vec2<u32>) -> u32 {
 }
 
 //!endif
-//!if PAGED
-// What a slot holds of a cell: height bounds of its block, and its column's number.
-fn block_in(l: u32, slot: u32, cell: vec2<u32>) -> u32 {
-    let within = (cell >> vec2(BLOCK_SHIFT)) & vec2((1u << (TILE_SHIFT - BLOCK_SHIFT)) - 1u);
-    let row = (slot << (TILE_SHIFT - BLOCK_SHIFT)) | within.y;
-    return runs(levels[l].blocks + ((row << (TILE_SHIFT - BLOCK_SHIFT)) | within.x));
-}
-
-fn column_in(slot: u32, cell: vec2<u32>) -> u32 {
-    let within = cell & vec2((1u << TILE_SHIFT) - 1u);
-    return (((slot << TILE_SHIFT) | within.y) << TILE_SHIFT) | within.x;
-}
-
-//!endif
 // Height bounds of the block that holds a cell within the level.
 fn block_of(l: u32, cell: vec2<i32>) -> u32 {
-//!if PAGED
-    return block_in(l, slot_of(l, vec2<u32>(cell)), vec2<u32>(cell));
-//!else
     let at = vec2<u32>(cell) >> vec2(BLOCK_SHIFT);
+//!if PAGED
+    let within = at & vec2((1u << (TILE_SHIFT - BLOCK_SHIFT)) - 1u);
+    let row = (slot_of(l, vec2<u32>(cell)) << (TILE_SHIFT - BLOCK_SHIFT)) | within.y;
+    return runs(levels[l].blocks + ((row << (TILE_SHIFT - BLOCK_SHIFT)) | within.x));
+//!else
     return runs(levels[l].blocks + at.y * levels[l].blocks_row + at.x);
 //!endif
 }
@@ -103,7 +91,8 @@ fn run_end(run: u32) -> i32 {
 fn column_index(l: u32, x: i32, z: i32) -> u32 {
 //!if PAGED
     let cell = vec2(u32(x), u32(z));
-    return column_in(slot_of(l, cell), cell);
+    let within = cell & vec2((1u << TILE_SHIFT) - 1u);
+    return (((slot_of(l, cell) << TILE_SHIFT) | within.y) << TILE_SHIFT) | within.x;
 //!else
     return u32(z * levels[l].size.x + x);
 //!endif

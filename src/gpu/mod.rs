@@ -310,8 +310,8 @@ fn workgroup_lanes(pixels: u64) -> u32 {
 const INVOCATION_LANES: u32 = 32;
 
 /// Bytes of workgroup memory that the kernel `workgroup` takes beside its keys, at most.
-fn workgroup_other(lanes: u32, paged: bool) -> u32 {
-    4 * lanes + if paged { 3328 } else { 1024 }
+fn workgroup_other(lanes: u32) -> u32 {
+    4 * lanes + 1024
 }
 
 /// Workgroups of one dimension: wgpu allows 65,535.
@@ -953,7 +953,7 @@ impl Plan {
                 // As the shader lays them out.
                 let ground = plan.specialization.has(Feature::Horizon);
                 plan.words = if ground { fine } else { fine + fine / 4 + 3 * (fine / 16) };
-                plan.spill = plan.words * 4 + workgroup_other(plan.lanes, resident.levels[0].pages.is_some()) > memory;
+                plan.spill = plan.words * 4 + workgroup_other(plan.lanes) > memory;
                 plan.n_counters = plan.n_planes;
             }
             Kernel::Raycast | Kernel::RaycastRuns => {
