@@ -43,7 +43,7 @@ for s in 4 100; do
     python3 timed.py "fly 2^20 $s a frame wait $v" $P fly w.pworld --path world-$s.json --frames 240 $S --view-distance 180000 --memory-gpu 256M --stream wait --device gpu --timeline $OUT/world-$s-wait-$v-$i.csv -o - -q
 done
 python3 timed.py "fly 2^20 20 a frame deadline $v" $P fly w.pworld --path world-20.json --frames 240 $S --view-distance 180000 --memory-gpu 256M --stream deadline:4 --device gpu --timeline $OUT/world-20-deadline-$v-$i.csv -o - -q
-for m in 256M 1G; do python3 timed.py "fly endless 20 a frame $m $v" $P fly "$W" --path inf-20.json --frames 240 $S --view-distance 180000 --memory-gpu $m --stream wait --device gpu --timeline $OUT/inf-20-$m-$v-$i.csv -o - -q; done
+for m in 256M; do python3 timed.py "fly endless 20 a frame $m $v" $P fly "$W" --path inf-20.json --frames 240 $S --view-distance 180000 --memory-gpu $m --stream wait --device gpu --timeline $OUT/inf-20-$m-$v-$i.csv -o - -q; done
 done
 python3 table.py $OUT/*-$i.csv
 done
