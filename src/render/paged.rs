@@ -15,7 +15,7 @@ use crate::frame::projection::{Projection, face_cameras, join_faces};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer};
 use crate::render::device::Device;
-use crate::world::pager::{Pager, Paging, Patience};
+use crate::world::pager::{Pager, Paging, Patience, Wanted, wanted};
 use crate::world::tables::Resident;
 use crate::world::tint::Tint;
 use crate::{Error, Result};
@@ -96,7 +96,7 @@ pub(super) struct Paged {
     said_left_out: bool,
     ahead: VecDeque<Sent>,
     /// Of the frame that comes after those, once its tiles were asked for.
-    next: Option<FramePlan>,
+    next: Option<(FramePlan, Vec<Wanted>)>,
 }
 
 /// The device that draws, as `Device` has it.
@@ -230,8 +230,10 @@ impl Paged {
             // As fine as the latest was: the budget may hold no more.
             let options = Options { lod: self.lod(&options), ..options };
             let plan = FramePlan::new(self.painter.tables(), next, &options);
-            self.pager.prefetch(self.painter.tables(), &plan.setup);
-            self.next = Some(plan);
+            if let Some(wants) = wanted(&plan.setup, self.painter.tables().dims) {
+                self.pager.prefetch(self.painter.tables(), &wants);
+                self.next = Some((plan, wants));
+            }
         }
         let sent = self.ahead.pop_front().expect("the first frame was sent");
         self.finish(sent)
@@ -342,11 +344,18 @@ impl Paged {
         self.coarser = (self.coarser / COARSER.sqrt()).max(1.0);
         loop {
             let drawn = Options { lod: self.lod(options), ..*options };
-            let plan = match self.next.take().filter(|plan| plan.is_of(camera, &drawn)) {
-                Some(plan) => plan,
-                None => self.painter.plan(camera, &drawn),
+            let (plan, wants) = match self.next.take().filter(|(plan, _)| plan.is_of(camera, &drawn)) {
+                Some((plan, wants)) => (plan, Some(wants)),
+                None => {
+                    let plan = self.painter.plan(camera, &drawn);
+                    let wants = wanted(&plan.setup, self.painter.tables().dims);
+                    (plan, wants)
+                }
             };
-            if let Some(paging) = self.pager.update(self.painter.tables_mut(), &plan.setup, patience)? {
+            // None of so many that no window holds them.
+            if let Some(wants) = wants
+                && let Some(paging) = self.pager.update(self.painter.tables_mut(), &wants, patience)?
+            {
                 return Ok((plan, paging));
             }
             self.coarser *= COARSER;

@@ -201,70 +201,75 @@ pub struct Pager {
 
 /// The tiles that planes can touch, those that most of them pass first; `None` where more than a window holds.
 pub fn wanted(setup: &Setup, dims: [u32; 3]) -> Option<Vec<Wanted>> {
-    let (side, grids) = (1usize << WINDOW_SHIFT, grids(dims));
-    let mut found = Vec::new();
-    for l in 0..setup.levels {
-        let mut counts = vec![0u32; side * side];
-        let scale = f64::from(TILE) * f64::from(1u32 << l);
-        let margin = MARGIN / f64::from(TILE);
-        let eye = [0, 1].map(|k| (f64::from(setup.eye_cell[2 * k]) + setup.eye_fract[2 * k]) / scale);
-        let tiles = grids[l as usize].tiles.map(|n| f64::from(n) - 1.0);
-        // Bounds of all that is passed, so that nothing is mistaken for what stands a whole window away.
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        let mut passes = Vec::new();
-        for plane in &setup.planes {
-            if l < plane.lod_first || plane.t_end <= plane.t_start {
-                continue;
-            }
-            let [from, to] = setup.part(plane, l);
-            if to < from {
-                continue;
-            }
-            let ends = [from, to].map(|t| [0, 1].map(|k| eye[k] + t * plane.dir[k] / scale));
-            for k in 0..2 {
-                low[k] = low[k].min(ends[0][k].min(ends[1][k]) - margin).max(0.0);
-                high[k] = high[k].max(ends[0][k].max(ends[1][k]) + margin).min(tiles[k] + 0.999);
-            }
-            passes.push(ends);
-        }
-        if passes.is_empty() || high[0] < low[0] || high[1] < low[1] {
-            continue;
-        }
-        let origin = low.map(f64::floor);
-        if (0..2).any(|k| high[k].floor() - origin[k] >= side as f64) {
-            return None;
-        }
-        for [a, b] in passes {
-            let major = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
-            let minor = 1 - major;
-            let (a, b) = if a[major] <= b[major] { (a, b) } else { (b, a) };
-            let slope = if b[major] > a[major] { (b[minor] - a[minor]) / (b[major] - a[major]) } else { 0.0 };
-            let first = (a[major] - margin).floor().max(0.0);
-            let last = (b[major] + margin).floor().min(tiles[major]);
-            let mut at = first;
-            while at <= last {
-                let here = |v: f64| a[minor] + (v.clamp(a[major], b[major]) - a[major]) * slope;
-                let (p, q) = (here(at - margin), here(at + 1.0 + margin));
-                let from = (p.min(q) - margin).floor().max(0.0);
-                let to = (p.max(q) + margin).floor().min(tiles[minor]);
-                let mut across = from;
-                while across <= to {
-                    let mut cell = [0.0; 2];
-                    (cell[major], cell[minor]) = (at - origin[major], across - origin[minor]);
-                    counts[cell[1] as usize * side + cell[0] as usize] += 1;
-                    across += 1.0;
-                }
-                at += 1.0;
-            }
-        }
-        let cells = counts.iter().enumerate().filter(|&(_, &planes)| planes > 0);
-        found.extend(cells.map(|(i, &planes)| {
-            let [x, z] = [origin[0] as u32 + (i % side) as u32, origin[1] as u32 + (i / side) as u32];
-            Wanted { key: TileKey { level: l, x, z }, planes }
-        }));
-    }
+    let grids = grids(dims);
+    let levels = (0..setup.levels).into_par_iter().map(|l| wanted_of_level(setup, &grids, l));
+    let mut found: Vec<Wanted> = levels.collect::<Option<Vec<_>>>()?.concat();
     found.sort_by_key(|wanted| (std::cmp::Reverse(wanted.planes), wanted.key));
     Some(found)
+}
+
+/// The same of one level.
+fn wanted_of_level(setup: &Setup, grids: &[Grid], l: u32) -> Option<Vec<Wanted>> {
+    let side = 1usize << WINDOW_SHIFT;
+    let mut counts = vec![0u32; side * side];
+    let scale = f64::from(TILE) * f64::from(1u32 << l);
+    let margin = MARGIN / f64::from(TILE);
+    let eye = [0, 1].map(|k| (f64::from(setup.eye_cell[2 * k]) + setup.eye_fract[2 * k]) / scale);
+    let tiles = grids[l as usize].tiles.map(|n| f64::from(n) - 1.0);
+    // Bounds of all that is passed, so that nothing is mistaken for what stands a whole window away.
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    let mut passes = Vec::new();
+    for plane in &setup.planes {
+        if l < plane.lod_first || plane.t_end <= plane.t_start {
+            continue;
+        }
+        let [from, to] = setup.part(plane, l);
+        if to < from {
+            continue;
+        }
+        let ends = [from, to].map(|t| [0, 1].map(|k| eye[k] + t * plane.dir[k] / scale));
+        for k in 0..2 {
+            low[k] = low[k].min(ends[0][k].min(ends[1][k]) - margin).max(0.0);
+            high[k] = high[k].max(ends[0][k].max(ends[1][k]) + margin).min(tiles[k] + 0.999);
+        }
+        passes.push(ends);
+    }
+    if passes.is_empty() || high[0] < low[0] || high[1] < low[1] {
+        return Some(Vec::new());
+    }
+    let origin = low.map(f64::floor);
+    if (0..2).any(|k| high[k].floor() - origin[k] >= side as f64) {
+        return None;
+    }
+    for [a, b] in passes {
+        let major = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
+        let minor = 1 - major;
+        let (a, b) = if a[major] <= b[major] { (a, b) } else { (b, a) };
+        let slope = if b[major] > a[major] { (b[minor] - a[minor]) / (b[major] - a[major]) } else { 0.0 };
+        let first = (a[major] - margin).floor().max(0.0);
+        let last = (b[major] + margin).floor().min(tiles[major]);
+        let mut at = first;
+        while at <= last {
+            let here = |v: f64| a[minor] + (v.clamp(a[major], b[major]) - a[major]) * slope;
+            let (p, q) = (here(at - margin), here(at + 1.0 + margin));
+            let from = (p.min(q) - margin).floor().max(0.0);
+            let to = (p.max(q) + margin).floor().min(tiles[minor]);
+            let mut across = from;
+            while across <= to {
+                let mut cell = [0.0; 2];
+                (cell[major], cell[minor]) = (at - origin[major], across - origin[minor]);
+                counts[cell[1] as usize * side + cell[0] as usize] += 1;
+                across += 1.0;
+            }
+            at += 1.0;
+        }
+    }
+    let cells = counts.iter().enumerate().filter(|&(_, &planes)| planes > 0);
+    let found = cells.map(|(i, &planes)| {
+        let [x, z] = [origin[0] as u32 + (i % side) as u32, origin[1] as u32 + (i / side) as u32];
+        Wanted { key: TileKey { level: l, x, z }, planes }
+    });
+    Some(found.collect())
 }
 
 /// One tile, made ready for the tables.
@@ -483,16 +488,15 @@ impl Pager {
         self.levels.iter().map(level).sum()
     }
 
-    /// Brings the tiles that a frame wants, as far as its patience goes; what is not there then is stood in for. `None` where
+    /// Brings the tiles that a frame wants, as [`wanted`] has them, as far as its patience goes; what is not there then is stood in for. `None` where
     /// the budget does not hold them all: the frame has to be drawn coarser.
     ///
     /// # Errors
     /// [`Error::Limit`] where memory is out.
-    pub fn update(&mut self, resident: &mut Resident, setup: &Setup, patience: Patience) -> Result<Option<Paging>> {
-        let Some(wanted) = wanted(setup, resident.dims) else { return Ok(None) };
+    pub fn update(&mut self, resident: &mut Resident, wants: &[Wanted], patience: Patience) -> Result<Option<Paging>> {
         self.frame += 1;
-        let mut paging = Paging { wanted: wanted.len() as u32, ..Paging::default() };
-        let (empty, wanted): (Vec<_>, Vec<_>) = wanted.into_iter().partition(|w| self.source.is_empty(w.key));
+        let mut paging = Paging { wanted: wants.len() as u32, ..Paging::default() };
+        let (empty, wanted): (Vec<Wanted>, Vec<_>) = wants.iter().partition(|w| self.source.is_empty(w.key));
         for w in empty {
             self.clear(resident, w.key);
         }
@@ -523,7 +527,7 @@ impl Pager {
                 Err(Error::Limit(_)) => return Ok(None),
                 tables => tables?,
             };
-            return self.update(resident, setup, patience);
+            return self.update(resident, wants, patience);
         }
         let before = self.now();
         // What was asked for ahead of its frame.
@@ -563,7 +567,7 @@ impl Pager {
                 }
                 Ok(None) => {
                     *resident = self.without_heights()?;
-                    return self.update(resident, setup, patience);
+                    return self.update(resident, wants, patience);
                 }
                 Err(e) => {
                     *tries.entry(key).or_default() += 1;
@@ -597,9 +601,8 @@ impl Pager {
     }
 
     /// Asks for tiles that a later frame will want, after those that one wants now.
-    pub fn prefetch(&mut self, resident: &Resident, setup: &Setup) {
-        let Some(wanted) = wanted(setup, resident.dims) else { return };
-        let absent = wanted.into_iter().filter(|w| !self.source.is_empty(w.key) && self.lacks(resident, w.key));
+    pub fn prefetch(&mut self, resident: &Resident, wants: &[Wanted]) {
+        let absent = wants.iter().filter(|w| !self.source.is_empty(w.key) && self.lacks(resident, w.key));
         let absent: Vec<TileKey> = absent.map(|w| w.key).filter(|&key| !self.is_put_off(key)).collect();
         self.fetcher.later(&absent, self.heights);
     }
