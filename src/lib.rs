@@ -51,13 +51,14 @@
 //!
 //! | stage | reads → writes | one task per | CPU | GPU |
 //! |---|---|---|---|---|
-//! | `plane_setup` | camera → planes, fans | frame | [`frame::plane_setup`] | the same, uploaded |
+//! | `plane_setup` | camera → planes, fans, in a [`frame::plan`] | frame | [`frame::plane_setup`] | the same, uploaded |
 //! | `traverse` | planes, columns → plane buffer | plane | [`cpu::traverse`] | `traverse_invocation.wgsl`, `traverse_workgroup.wgsl` |
 //! | `remap` | plane buffer → pixels, doubts | pixel | [`cpu::remap`] | `remap.wgsl` |
 //! | `refine` | doubts, columns → pixels | pixel | [`cpu::refine`] | `refine.wgsl` |
 //! | `smooth` | height field → pixels, where asked for | pixel | [`cpu::smooth`] | `smooth.wgsl` |
 //! | `gap_fill` | pixels → pixels without holes | pixel | [`cpu::gap_fill`] | `gap_fill.wgsl` |
 //! | `shade` | colour, depth → picture | pixel | [`cpu::shade`] | `shade.wgsl` |
+//! | `usage` | voxels → pixels by tile, of a world in tiles | pixel | [`cpu::usage`] | `usage.wgsl` |
 //!
 //! Pictures of the whole sphere ([`Projection`]), and views that turn while the eye rests, look planes of all azimuths up by each
 //! pixel's ray ([`cpu::sphere`]); `shade` has a part of its own for them ([`cpu::shade_rays`]).
