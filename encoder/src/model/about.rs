@@ -112,7 +112,11 @@ impl fmt::Display for About {
         let mut parts: Vec<String> = Vec::new();
         parts.extend([&self.axes].into_iter().filter(|s| !s.is_empty()).cloned());
         if let Some([x, y, z]) = self.voxel {
-            let unit = if self.unit.is_empty() { "units" } else { &self.unit };
+            let unit = match self.unit.as_str() {
+                "" if x == y && y == z && x == 1.0 => "unit",
+                "" => "units",
+                unit => unit,
+            };
             parts.push(match x == y && y == z {
                 true => format!("a voxel is {} {unit} wide", Short(x)),
                 false => format!("a voxel is {} × {} × {} {unit}", Short(x), Short(y), Short(z)),

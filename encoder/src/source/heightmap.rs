@@ -134,7 +134,10 @@ pub(super) fn rows(path: &Path, map: Map, input_bytes: u64, opts: &ReadOptions) 
     }
     let missing = u64::from(width) * u64::from(height) - heights.known;
     if missing > 0 {
-        rules.push(format!("{missing} pixels without data are empty"));
+        rules.push(match missing {
+            1 => "the pixel without data is empty".into(),
+            _ => format!("{missing} pixels without data are empty"),
+        });
     }
     let base = low.min(0.0);
     if base < 0.0 {
