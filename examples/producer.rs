@@ -36,7 +36,7 @@ impl Density for Dunes {
     }
 
     fn color(&self, spot: &planecast::encoder::producer::Spot) -> Rgb {
-        if spot.at[1] / 24 % 2 == 0 { [214, 178, 120] } else { [190, 142, 92] }
+        if (spot.at[1] / 24).is_multiple_of(2) { [214, 178, 120] } else { [190, 142, 92] }
     }
 }
 
