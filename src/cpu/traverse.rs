@@ -270,7 +270,7 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) ->
         return ground_one::<R>(task, scratch);
     }
     let _ = avx2;
-    // All variants there are, each a function of its own: as one, they took a compiler twice as long. Terms of tilted cameras, the
+    // All variants there are, each a function of its own, so that none is compiled within another. Terms of tilted cameras, the
     // seam of repeated worlds and the change of levels are met once a span, a block or a level, not once a column, and have none.
     match (task.voxel.is_empty(), task.culling == Culling::ALL) {
         (true, true) => walk!(false, true, true),
