@@ -528,14 +528,13 @@ impl GpuRenderer {
 
     /// Sends one frame to the device and returns at once; [`GpuRenderer::collect`] gives frames in the order of submission.
     pub fn submit(&mut self, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
-        self.submit_from(Begin::Traverse, camera, options, outputs)
+        self.submit_from(Begin::Traverse, None, camera, options, outputs)
     }
 
     /// The same for a frame that is decided already.
     pub(crate) fn submit_plan(&mut self, plan: FramePlan, outputs: Outputs) -> Result<()> {
         let (camera, options) = (plan.camera, plan.options);
-        self.prepared.push_back(Prepared::of(&self.resident, plan));
-        self.submit(&camera, &options, outputs)
+        self.submit_from(Begin::Traverse, Some(plan), &camera, &options, outputs)
     }
 
     /// Draws pictures of any sizes and hands them on in order; `done` may give a frame back. Several are sent to the device in
@@ -656,7 +655,7 @@ impl GpuRenderer {
         options: &Options,
         outputs: Outputs,
     ) -> Result<Frame> {
-        self.submit_from(begin, camera, options, outputs)?;
+        self.submit_from(begin, None, camera, options, outputs)?;
         self.collect().expect("a frame was submitted")
     }
 
@@ -708,8 +707,15 @@ impl GpuRenderer {
         )))
     }
 
-    fn submit_from(&mut self, begin: Begin<'_>, camera: &Camera, options: &Options, outputs: Outputs) -> Result<()> {
-        match self.draw_from(begin, camera, options, outputs, ByteOrder::Rgba)? {
+    fn submit_from(
+        &mut self,
+        begin: Begin<'_>,
+        plan: Option<FramePlan>,
+        camera: &Camera,
+        options: &Options,
+        outputs: Outputs,
+    ) -> Result<()> {
+        match self.draw_from(begin, plan, camera, options, outputs, ByteOrder::Rgba)? {
             Drawn::Inside(frame) => self.pending.push_back(Pending::Done(frame)),
             Drawn::Sent(sent) => {
                 let Sent { plan, frame, start, setup_ms } = *sent;
@@ -754,10 +760,12 @@ impl GpuRenderer {
         frame
     }
 
-    /// Sends a frame's stages to the device; the picture stays there.
+    /// Sends a frame's stages to the device; the picture stays there. With no `plan`, what was prepared for such a frame is
+    /// taken, or it is decided now.
     fn draw_from(
         &mut self,
         begin: Begin<'_>,
+        plan: Option<FramePlan>,
         camera: &Camera,
         options: &Options,
         outputs: Outputs,
@@ -768,10 +776,13 @@ impl GpuRenderer {
         if let Some(frame) = self.inside(camera, options, outputs) {
             return Ok(Drawn::Inside(frame));
         }
-        let known = self.prepared.iter().position(|p| p.plan.is_of(camera, options));
-        let Prepared { plan: FramePlan { setup, .. }, mut upload } = match known {
-            Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
-            None => Prepared::new(&self.resident, camera, options),
+        let known = || self.prepared.iter().position(|p| p.plan.is_of(camera, options));
+        let Prepared { plan: FramePlan { setup, .. }, mut upload } = match plan {
+            Some(plan) => Prepared::of(&self.resident, plan),
+            None => match known() {
+                Some(i) => self.prepared.drain(..=i).next_back().expect("it is there"),
+                None => Prepared::new(&self.resident, camera, options),
+            },
         };
         self.check_steps(&setup, options)?;
         let mut plan = Plan::new(&self.resident, &setup, camera, options, outputs, &self.options, &self.engine);

@@ -121,7 +121,7 @@ impl GpuRenderer {
     /// Draws one frame and leaves the picture on the device: see [`GpuRenderer::picture`].
     pub fn draw(&mut self, camera: &Camera, options: &Options) -> Result<()> {
         self.engine.check()?;
-        match self.draw_from(Begin::Traverse, camera, options, Outputs::default(), self.live_order)? {
+        match self.draw_from(Begin::Traverse, None, camera, options, Outputs::default(), self.live_order)? {
             Drawn::Inside(frame) => {
                 self.show_pixels(&frame.color)?;
             }

@@ -22,7 +22,6 @@ use crate::format::metadata;
 use crate::format::{
     self, ALIGN, BlobHeader, COMPRESSED, EMPTY, Grid, Header, MATTER, SPECIALIZED, Section, TileEntry,
 };
-use crate::model::about::Kind;
 use crate::model::exposure;
 use crate::model::filled::{filled, starts};
 use crate::model::matter::Matter;
@@ -627,8 +626,7 @@ impl TileSource for PcastFile {
     }
 
     fn is_height_field(&self) -> bool {
-        // What does not say what it is may be: the first tiles show otherwise.
-        matches!(self.about.kind, None | Some(Kind::Terrain | Kind::Procedural)) && self.encoding == Encoding::Solid
+        self.about.may_be_height_field() && self.encoding == Encoding::Solid
     }
 
     fn is_empty(&self, key: TileKey) -> bool {

@@ -12,7 +12,6 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::format::MATTER;
 use crate::format::file::{Modes, Outline, Place, check_entries, heights, read_tile};
 use crate::format::{Grid, Header, TileEntry, metadata};
-use crate::model::about::Kind;
 use crate::model::tiles::{TileKey, TileSource};
 use crate::store::ranges::Ranges;
 use crate::{About, ColorMode, Encoding, Error, Level, Result};
@@ -267,9 +266,7 @@ impl TileSource for RangedFile {
     }
 
     fn is_height_field(&self) -> bool {
-        // What does not say what it is may be: the first tiles show otherwise.
-        matches!(self.about.kind, None | Some(Kind::Terrain | Kind::Procedural))
-            && self.outline.encoding == Encoding::Solid
+        self.about.may_be_height_field() && self.outline.encoding == Encoding::Solid
     }
 
     fn is_empty(&self, key: TileKey) -> bool {

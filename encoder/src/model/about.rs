@@ -66,6 +66,11 @@ impl About {
         About { kind: Some(kind), format: format.into(), ..About::default() }
     }
 
+    /// Whether what this is of may be a height field. What does not say what it is may be: its tiles show otherwise.
+    pub(crate) fn may_be_height_field(&self) -> bool {
+        matches!(self.kind, None | Some(Kind::Terrain | Kind::Procedural))
+    }
+
     /// Takes out what would not show as text: who made the file may have put commands for terminals there.
     pub(crate) fn clean(&mut self) {
         let About {
