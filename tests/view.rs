@@ -183,6 +183,57 @@ fn window_shows_what_render_draws_while_it_flies_and_is_resized() {
 }
 
 #[test]
+fn window_flies_a_world_in_tiles() {
+    let place = Place::new();
+    for device in ["cpu", "gpu"] {
+        let script = place.script(json!([
+            {"t": 0, "key": "Tab"},
+            {"t": 0.1, "wait": {}},
+            {"t": 0.1, "hover": [160, 180]},
+            {"t": 0.2, "screenshot": "here.png"},
+            {"t": 0.2, "figures": "here.json"},
+            {"t": 0.2, "press": "KeyW"},
+            {"t": 0.5, "release": "KeyW"},
+            {"t": 0.5, "key": "KeyX"},
+            {"t": 0.5, "wait": {}},
+            {"t": 0.6, "screenshot": "there.png"},
+            {"t": 0.6, "figures": "there.json"},
+            {"t": 0.6, "quit": {}}
+        ]));
+        let world = "procedural:hills?size=inf&seed=1";
+        let flags = "--window 320x200 --memory 64M --stream deadline:0";
+        let out = place.succeeds(&format!("view {world} --device {device} {flags} {script}"));
+        let commands: Vec<&str> = out.lines().collect();
+        assert_eq!(commands.len(), 2, "{out}");
+        assert_ne!(eye(commands[0]), eye(commands[1]), "W flies");
+        for (command, picture) in commands.into_iter().zip(["here.png", "there.png"]) {
+            place.again(&command.replace('\'', ""));
+            let (shot, drawn) = (place.picture(picture).1, place.picture("again.png").1);
+            assert_eq!(pictures(&shot, &drawn), Difference::default(), "{device}: {picture}");
+            assert!(shot.iter().any(|p| *p != shot[0]), "something is in the picture");
+        }
+        let [here, there] = ["here.json", "there.json"].map(|name| place.json(name));
+        let paging = &here["stats"]["paging"];
+        assert_eq!((&paging["debt"], &paging["tiles_missing"]), (&json!(0), &json!(0)), "{device}: {here}");
+        assert!(paging["bytes_resident"].as_u64().unwrap() <= 64 << 20, "{device}: {paging}");
+        assert!(!words(&here).contains("levels too coarse"), "{device}: {}", words(&here));
+        assert!(here["hover"].as_str().unwrap().starts_with("voxel "), "{device}: {here}");
+        // What needs the whole world says so.
+        assert!(words(&there).contains("no error map"), "{device}: {}", words(&there));
+    }
+    // A scene in tiles is the scene.
+    let script = place.script(json!([
+        {"t": 0, "wait": {}},
+        {"t": 0.1, "screenshot": "tiles.png"},
+        {"t": 0.1, "quit": {}}
+    ]));
+    let out = place.succeeds(&format!("view a.pcast --residency paged --window 320x200 --device cpu {script}"));
+    assert!(out.contains(" --residency paged "), "{out}");
+    place.again(&out.trim().replace(" --residency paged ", " "));
+    assert_eq!(pictures(&place.picture("tiles.png").1, &place.picture("again.png").1), Difference::default());
+}
+
+#[test]
 fn window_goes_on_after_a_lost_device_no_size_and_broken_files() {
     let place = Place::new();
     fs::write(place.path("broken.pcast"), &fs::read(place.path("a.pcast")).unwrap()[..200]).unwrap();
@@ -248,7 +299,7 @@ fn window_goes_on_after_a_lost_surface_sleep_and_a_change_of_resolution() {
     assert_eq!(place.json("renewed.json")["surfaces_renewed"], json!([1, 1]));
     let out = String::from_utf8(output.stdout).unwrap();
     let command = out.lines().next().unwrap();
-    place.again(command);
+    place.again(&command.replace('\'', ""));
     let (shown, drawn) = (place.picture("scaled.png"), place.picture("again.png"));
     assert_eq!((shown.0, drawn.0), ([320, 192], [320, 192]));
     assert_eq!(pictures(&shown.1, &drawn.1), Difference::default(), "at twice the pixels a point");
@@ -377,7 +428,7 @@ fn window_orbits_a_volume_moves_its_threshold_and_measures() {
     assert!(said.contains(" across, ") && (1.0..6.0).contains(&length), "{said}");
     let command = out.lines().next().unwrap();
     assert!(command.starts_with("planecast render ball.npy --iso 150 -o view.png"), "{command}");
-    place.again(command);
+    place.again(&command.replace('\'', ""));
     assert_eq!(pictures(&place.picture("shot.png").1, &place.picture("again.png").1), Difference::default());
     let after = place.json("after.json");
     assert_eq!((&after["threshold"], &after["preview"]), (&json!(150.0), &Value::Null), "encoded as encode does it");

@@ -22,6 +22,7 @@ pub mod error;
 pub mod format;
 pub mod inspect;
 pub mod model;
+pub mod parallel;
 pub mod producer;
 pub mod say;
 pub mod source;

@@ -27,7 +27,7 @@ use planecast_encoder::store::guard;
 use planecast_encoder::{About, Error as FileError, Scene, note, say};
 use serde_json::json;
 
-use self::residency::{Held, ResidencyArgs};
+use self::residency::{Loaded, ResidencyArgs};
 use crate::cpu::pick;
 use crate::cpu::renderer;
 use crate::film::fly::{self, Film, Kind};
@@ -1007,7 +1007,7 @@ impl RenderArgs {
         let (mut frame, camera, dims, about);
         let mut shows_matter = false;
         match self.draw.residency.open(&self.scene, &shown(&self.input.read), self.draw.skip_broken)? {
-            Held::Whole { scene, surface } => {
+            Loaded::Whole { scene, surface } => {
                 let pose = self.aim.pose(typed, &scene, view)?;
                 let pose = self.draw.looking_round(pose, self.eye, self.pitch, self.aim.is_given(), &scene);
                 camera = self.draw.camera(pose, size);
@@ -1022,12 +1022,9 @@ impl RenderArgs {
                 }
                 (dims, about) = (scene.dims(), surface.about);
             }
-            Held::Tiles(tiles) => {
+            Loaded::Tiles(tiles) => {
                 self.draw.check_tiles(self.annotate)?;
-                let preview = &tiles.preview;
-                let inner = Typed { eye: self.eye.map(|eye| preview.within(eye)), ..typed };
-                let pose = preview.pose(preview.aim(&self.aim).pose(inner, &preview.scene, view)?);
-                camera = self.draw.camera(pose, size);
+                camera = self.draw.camera(tiles.pose(&self.aim, typed, view)?, size);
                 let mut renderer = self.draw.residency.renderer(&tiles, self.draw.device)?;
                 renderer.set_count(self.stats.is_some());
                 frame = renderer.draw_with(&camera, &options, outputs, &mut tell)?;
@@ -1218,11 +1215,11 @@ impl FlyArgs {
         let view = self.draw.view(size);
         let held = self.draw.residency.open(&self.scene, &shown(&self.input.read), self.draw.skip_broken)?;
         let (path, content) = match &held {
-            Held::Whole { scene, surface } => {
+            Loaded::Whole { scene, surface } => {
                 let path = given.or_else(|| self.aim.path(scene, view)).unwrap_or_else(|| tour::tour(scene, view));
                 (path, surface.content.clone())
             }
-            Held::Tiles(tiles) => {
+            Loaded::Tiles(tiles) => {
                 self.draw.check_tiles(self.annotate)?;
                 let preview = &tiles.preview;
                 let found = || {
@@ -1263,13 +1260,13 @@ impl FlyArgs {
 
         let mut whole = None;
         let mut renderer = match held {
-            Held::Whole { scene, surface } => {
+            Loaded::Whole { scene, surface } => {
                 let (scene, resident) = self.draw.shared(scene, &surface, false, &mut options)?;
                 let renderer = self.draw.renderer(&scene, &resident)?;
                 whole = Some((resident, surface.about));
                 renderer
             }
-            Held::Tiles(tiles) => self.draw.residency.renderer(&tiles, self.draw.device)?,
+            Loaded::Tiles(tiles) => self.draw.residency.renderer(&tiles, self.draw.device)?,
         };
         renderer.set_count(self.stats.is_some() || self.timeline.is_some());
         renderer.set_depth(self.annotate);
@@ -1358,6 +1355,7 @@ impl ViewArgs {
                 skip_broken: self.draw.skip_broken,
                 specialize: self.draw.specialize,
             },
+            residency: self.draw.residency.options(view::PATIENCE),
             eye: self.eye,
             yaw: self.yaw,
             pitch: self.pitch,

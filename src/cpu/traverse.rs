@@ -38,6 +38,8 @@ pub trait Real:
     + std::ops::Div<Output = Self>
     + 'static
 {
+    /// Whether walks have variants for what is usual and for AVX2. f64 is there to measure f32's error, not to be fast.
+    const QUICK: bool;
     const ZERO: Self;
     const HALF: Self;
     /// A sixteenth less than a half.
@@ -76,8 +78,9 @@ pub trait Real:
 }
 
 macro_rules! real {
-    ($t:ty) => {
+    ($t:ty, $quick:literal) => {
         impl Real for $t {
+            const QUICK: bool = $quick;
             const ZERO: $t = 0.0;
             const HALF: $t = 0.5;
             const BELOW_CENTRE: $t = 0.4375;
@@ -134,8 +137,8 @@ macro_rules! real {
         }
     };
 }
-real!(f32);
-real!(f64);
+real!(f32, true);
+real!(f64, false);
 
 /// What planes draw into: one entry a sample, plane by plane as [`Plane::base`] says.
 #[derive(Default)]
@@ -254,7 +257,7 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) ->
     macro_rules! walk {
         ($voxel:literal, $fast:literal, $color:literal) => {{
             #[cfg(target_arch = "x86_64")]
-            if avx2 {
+            if R::QUICK && avx2 {
                 // SAFETY: `has_avx2` has seen that the processor can.
                 return unsafe { traverse_one_avx2::<R, $voxel, $fast, $color>(task, scratch) };
             }
@@ -263,7 +266,7 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) ->
     }
     if task.ground {
         #[cfg(target_arch = "x86_64")]
-        if avx2 {
+        if R::QUICK && avx2 {
             // SAFETY: as above.
             return unsafe { ground_one_avx2::<R>(task, scratch) };
         }
@@ -272,12 +275,18 @@ fn walk_plane<R: Real>(task: Task1<'_>, scratch: &mut Scratch<R>, avx2: bool) ->
     let _ = avx2;
     // All variants there are, each a function of its own, so that none is compiled within another. Terms of tilted cameras, the
     // seam of repeated worlds and the change of levels are met once a span, a block or a level, not once a column, and have none.
-    match (task.voxel.is_empty(), task.culling == Culling::ALL) {
-        (true, true) => walk!(false, true, true),
-        (true, false) => walk!(false, false, true),
-        (false, true) if task.color.is_empty() => walk!(true, true, false),
-        (false, true) => walk!(true, true, true),
-        (false, false) => walk!(true, false, true),
+    let (voxel, color) = (!task.voxel.is_empty(), !task.color.is_empty());
+    if R::QUICK && task.culling == Culling::ALL {
+        return match (voxel, color) {
+            (false, _) => walk!(false, true, true),
+            (true, false) => walk!(true, true, false),
+            (true, true) => walk!(true, true, true),
+        };
+    }
+    match (voxel, color) {
+        (false, _) => walk!(false, false, true),
+        (true, false) if !R::QUICK => walk!(true, false, false),
+        (true, _) => walk!(true, false, true),
     }
 }
 

@@ -256,6 +256,13 @@ struct Parts {
     stage_times: bool,
 }
 
+impl Parts {
+    /// Pixels by slot, in a read-back buffer; `memory` is taken for them.
+    fn usage_in(&self, bytes: &[u8], memory: Vec<u32>) -> Vec<u32> {
+        refilled(memory, &bytes[self.usage as usize..][..4 * self.n_slots])
+    }
+}
+
 /// A vector's memory with other values.
 fn refilled<T: bytemuck::Pod>(mut memory: Vec<T>, bytes: &[u8]) -> Vec<T> {
     memory.clear();
@@ -1541,7 +1548,7 @@ impl GpuRenderer {
             frame.voxel =
                 refilled(voxel, part(parts.voxel, if parts.counters > parts.voxel { 16 * pixels } else { 0 }));
             whole = self.figures_of(&bytes, parts, &mut frame.stats, setup_ms, start);
-            self.usage = refilled(std::mem::take(&mut self.usage), part(parts.usage, 4 * parts.n_slots));
+            self.usage = parts.usage_in(&bytes, std::mem::take(&mut self.usage));
         }
         readback.unmap();
         self.free.push(readback);

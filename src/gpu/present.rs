@@ -15,6 +15,7 @@ use crate::error::{Error, Result};
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::picture::Stats;
+use crate::frame::plan::FramePlan;
 use crate::world::tables::Resident;
 
 impl Device {
@@ -118,12 +119,28 @@ impl GpuRenderer {
         })
     }
 
+    /// The same of tables alone: see [`GpuRenderer::of_tables`].
+    pub fn of_tables_on(resident: &Arc<Resident>, options: GpuOptions, device: &Device) -> Result<GpuRenderer> {
+        GpuRenderer::with_engine(None, resident, options, || Ok(Engine::with_device(device.clone(), options.trusted)))
+    }
+
     /// Draws one frame and leaves the picture on the device: see [`GpuRenderer::picture`].
     pub fn draw(&mut self, camera: &Camera, options: &Options) -> Result<()> {
+        self.show(None, camera, options).map(drop)
+    }
+
+    /// The same for a frame that is decided already; whether its figures will come.
+    pub(crate) fn draw_plan(&mut self, plan: FramePlan) -> Result<bool> {
+        let (camera, options) = (plan.camera, plan.options);
+        self.show(Some(plan), &camera, &options)
+    }
+
+    fn show(&mut self, plan: Option<FramePlan>, camera: &Camera, options: &Options) -> Result<bool> {
         self.engine.check()?;
-        match self.draw_from(Begin::Traverse, None, camera, options, Outputs::default(), self.live_order)? {
+        match self.draw_from(Begin::Traverse, plan, camera, options, Outputs::default(), self.live_order)? {
             Drawn::Inside(frame) => {
                 self.show_pixels(&frame.color)?;
+                Ok(false)
             }
             Drawn::Sent(sent) if self.shown.waiting.len() < WAITING => {
                 let Sent { plan, frame, start, setup_ms } = *sent;
@@ -144,10 +161,10 @@ impl GpuRenderer {
                 let (_, mapped) = self.ask(&plan, parts, &readback);
                 let stats = frame.stats;
                 self.shown.waiting.push_back(Waiting { stats, readback, mapped, parts, setup_ms, start });
+                Ok(true)
             }
-            Drawn::Sent(_) => {}
+            Drawn::Sent(_) => Ok(false),
         }
-        Ok(())
     }
 
     /// Frames drawn whose figures have not come yet, up to three: more than one or two, and the device is behind.
@@ -181,30 +198,35 @@ impl GpuRenderer {
 
     /// What the latest frame cost of which that is known by now; never waits. `None` where nothing came since.
     pub fn figures(&mut self) -> Result<Option<Stats>> {
-        let _ = self.engine.device.poll(wgpu::PollType::Poll);
-        self.engine.check()?;
         let mut latest = None;
-        while let Some(first) = self.shown.waiting.front() {
-            match first.mapped.try_recv() {
-                Err(TryRecvError::Empty) => break,
-                Ok(Ok(())) => {}
-                Ok(Err(e)) => return Err(Error::Device(format!("{}: figures of a frame: {e}", self.engine.name))),
-                Err(e) => return Err(Error::Device(format!("{}: figures of a frame: {e}", self.engine.name))),
-            }
-            let Some(Waiting { mut stats, readback, parts, setup_ms, start, .. }) = self.shown.waiting.pop_front()
-            else {
-                break;
-            };
-            let lost = |e: wgpu::MapRangeError| Error::Device(format!("{}: figures of a frame: {e}", self.engine.name));
-            let bytes = readback.get_mapped_range(..parts.end).map_err(lost)?;
-            // A picture that a software device cut short has been shown by now; the next may be whole.
-            let _ = self.figures_of(&bytes, parts, &mut stats, setup_ms, start);
-            drop(bytes);
-            readback.unmap();
-            self.shown.free.push(readback);
+        while let Some(stats) = self.next_figures()? {
             latest = Some(stats);
         }
         Ok(latest)
+    }
+
+    /// The same of the earliest frame of which nothing was told yet; [`GpuRenderer::usage`] is that frame's then.
+    pub(crate) fn next_figures(&mut self) -> Result<Option<Stats>> {
+        let _ = self.engine.device.poll(wgpu::PollType::Poll);
+        self.engine.check()?;
+        let Some(first) = self.shown.waiting.front() else { return Ok(None) };
+        let lost = |e: &dyn std::fmt::Display| Error::Device(format!("{}: figures of a frame: {e}", self.engine.name));
+        match first.mapped.try_recv() {
+            Err(TryRecvError::Empty) => return Ok(None),
+            Ok(Ok(())) => {}
+            Ok(Err(e)) => return Err(lost(&e)),
+            Err(e) => return Err(lost(&e)),
+        }
+        let first = self.shown.waiting.pop_front().expect("it was looked at");
+        let Waiting { mut stats, readback, parts, setup_ms, start, .. } = first;
+        let bytes = readback.get_mapped_range(..parts.end).map_err(|e| lost(&e))?;
+        // A picture that a software device cut short has been shown by now; the next may be whole.
+        let _ = self.figures_of(&bytes, parts, &mut stats, setup_ms, start);
+        self.usage = parts.usage_in(&bytes, std::mem::take(&mut self.usage));
+        drop(bytes);
+        readback.unmap();
+        self.shown.free.push(readback);
+        Ok(Some(stats))
     }
 }
 

@@ -9,7 +9,7 @@ use crate::frame::picture::Frame;
 use crate::frame::projection::{Projection, face_cameras, join_faces};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
-use crate::render::paged::Paged;
+use crate::render::paged::{self, Paged};
 use crate::world::World;
 use crate::world::pager::Patience;
 use crate::world::tables::Resident;
@@ -82,7 +82,8 @@ impl Renderer {
         tint: Option<Tint>,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Renderer> {
-        let paged = Paged::new(source, device, budget, patience, tint, tell)?;
+        let paged =
+            Paged::new(source, budget, patience, tint, tell, |resident, tell| paged::open(resident, device, tell))?;
         Ok(Renderer::of(Backend::Paged(Box::new(paged))))
     }
 

@@ -9,11 +9,22 @@ use crate::frame::picture::{Frame, Stats};
 use crate::gpu::present::{ByteOrder, Device, Shaded};
 use crate::world::World;
 use crate::{Error, GpuOptions, GpuRenderer, Kernel, Result};
+#[cfg(not(target_arch = "wasm32"))]
+use crate::{
+    render::paged::{Paged, Painter as PagedPainter},
+    world::{
+        pager::Patience,
+        probe::Probe,
+        residency::{ResidencyOptions, Tiles},
+    },
+};
 
 enum Painter {
     Gpu(Box<GpuRenderer>),
     Cpu(CpuRenderer),
     Exact(CpuRenderer),
+    #[cfg(not(target_arch = "wasm32"))]
+    Tiles(Box<Paged>),
 }
 
 /// What shall draw.
@@ -44,11 +55,12 @@ impl Draws {
     }
 }
 
-/// A scene and what draws it.
+/// What draws a world.
 pub struct Drawer {
-    world: Arc<World>,
     painter: Painter,
     draws: Draws,
+    /// What is to be said of it.
+    notices: Vec<String>,
 }
 
 /// A frame as it was drawn.
@@ -61,7 +73,7 @@ pub enum Drawn {
 
 impl Drawer {
     /// `device`: where the GPU shall draw.
-    pub fn new(world: Arc<World>, draws: Draws, device: Option<&Device>) -> Result<Drawer> {
+    pub fn new(world: &World, draws: Draws, device: Option<&Device>) -> Result<Drawer> {
         let cpu = || CpuRenderer::new(&world.scene, &world.resident);
         let painter = match (draws, device) {
             (Draws::Cpu, _) => Painter::Cpu(cpu()),
@@ -72,15 +84,78 @@ impl Drawer {
                 Painter::Gpu(Box::new(GpuRenderer::on_device(&world.scene, &world.resident, options, device)?))
             }
         };
-        Ok(Drawer { world, painter, draws })
+        Ok(Drawer { painter, draws, notices: Vec::new() })
+    }
+
+    /// For a world that comes in tiles.
+    ///
+    /// # Errors
+    /// Those of the coarsest tiles and of the device; [`Error::Argument`] where rays shall draw, which need the whole world.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn of_tiles(
+        tiles: &Tiles,
+        residency: &ResidencyOptions,
+        draws: Draws,
+        device: Option<&Device>,
+    ) -> Result<Drawer> {
+        let kernel = match draws {
+            Draws::Cpu => None,
+            Draws::Gpu(kernel) if kernel == Kernel::default() => Some(kernel),
+            Draws::Exact | Draws::Gpu(_) => {
+                let what = "rays need the whole world in memory, and this one comes in tiles: planes draw it";
+                return Err(Error::Argument(what.into()));
+            }
+        };
+        let mut notices = Vec::new();
+        let open = |resident: &Arc<_>, _: &mut dyn FnMut(&str)| match (kernel, device) {
+            (None, _) => Ok(PagedPainter::Cpu(Box::new(CpuRenderer::of_tables(Arc::clone(resident))))),
+            (Some(_), None) => Err(Error::Device("no usable GPU adapter; try --device cpu".into())),
+            (Some(kernel), Some(device)) => {
+                let options = GpuOptions { kernel, ..GpuOptions::default() };
+                Ok(PagedPainter::Gpu(Box::new(GpuRenderer::of_tables_on(resident, options, device)?)))
+            }
+        };
+        let (source, budget) = (Arc::clone(&tiles.source), residency.budget(kernel.is_some()));
+        let tell = &mut |what: &str| notices.push(what.to_owned());
+        let paged = Paged::new(source, budget, residency.patience, tiles.tint.clone(), tell, open)?;
+        Ok(Drawer { painter: Painter::Tiles(Box::new(paged)), draws, notices })
     }
 
     pub fn draws(&self) -> Draws {
         self.draws
     }
 
-    pub fn world(&self) -> &Arc<World> {
-        &self.world
+    /// What is to be said since this was asked last: what is left out, which tiles cannot be had.
+    pub fn take_notices(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notices)
+    }
+
+    /// Looks into the tiles that are there, of a world that comes in tiles.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn probe(&self) -> Option<Probe<'_>> {
+        match &self.painter {
+            Painter::Tiles(paged) => Some(paged.probe()),
+            _ => None,
+        }
+    }
+
+    /// The GPU that draws.
+    fn gpu(&self) -> Option<&GpuRenderer> {
+        match &self.painter {
+            Painter::Gpu(gpu) => Some(gpu),
+            #[cfg(not(target_arch = "wasm32"))]
+            Painter::Tiles(paged) => paged.gpu(),
+            Painter::Cpu(_) | Painter::Exact(_) => None,
+        }
+    }
+
+    fn gpu_mut(&mut self) -> Option<&mut GpuRenderer> {
+        match &mut self.painter {
+            Painter::Gpu(gpu) => Some(gpu),
+            #[cfg(not(target_arch = "wasm32"))]
+            Painter::Tiles(paged) => paged.gpu_mut(),
+            Painter::Cpu(_) | Painter::Exact(_) => None,
+        }
     }
 
     /// Takes another kernel of the GPU's from the next frame on.
@@ -91,9 +166,11 @@ impl Drawer {
         }
     }
 
-    /// Draws one frame, where it is to be shown.
-    pub fn draw(&mut self, camera: &Camera, options: &Options) -> Result<Drawn> {
+    /// Draws one frame, where it is to be shown. `soon` is where the camera will be soon, as far as that can be told: tiles are
+    /// asked for ahead.
+    pub fn draw(&mut self, camera: &Camera, soon: Option<&Camera>, options: &Options) -> Result<Drawn> {
         let options = &self.draws.options(options);
+        let _ = soon;
         Ok(match &mut self.painter {
             Painter::Gpu(gpu) => {
                 gpu.draw(camera, options)?;
@@ -105,6 +182,11 @@ impl Drawer {
                 Drawn::Here(Box::new(cpu.render(camera, options, Outputs::default())?))
             }
             Painter::Exact(cpu) => Drawn::Here(Box::new(cpu.exact(camera, options, Outputs::default())?)),
+            #[cfg(not(target_arch = "wasm32"))]
+            Painter::Tiles(paged) => {
+                let frame = paged.show(camera, soon, options, &mut |what| self.notices.push(what.to_owned()))?;
+                frame.map_or(Drawn::OnDevice, |frame| Drawn::Here(Box::new(frame)))
+            }
         })
     }
 
@@ -119,37 +201,41 @@ impl Drawer {
                 cpu.render(camera, options, outputs)
             }
             Painter::Exact(cpu) => cpu.exact(camera, options, outputs),
+            #[cfg(not(target_arch = "wasm32"))]
+            Painter::Tiles(paged) => {
+                // A picture that is kept owes nothing.
+                let patience = paged.set_patience(Patience::Wait);
+                let frame = paged.draw(camera, &[], options, outputs, &mut |what| self.notices.push(what.to_owned()));
+                paged.set_patience(patience);
+                frame
+            }
         }
     }
 
     /// How the pixels lie in their bytes that [`Drawer::draw`] leaves on the device.
     pub fn set_order(&mut self, order: ByteOrder) {
-        if let Painter::Gpu(gpu) = &mut self.painter {
+        if let Some(gpu) = self.gpu_mut() {
             gpu.set_order(order);
         }
     }
 
     /// The picture that [`Drawer::draw`] left on the device.
     pub fn with_picture<T>(&self, look: impl FnOnce(Shaded<'_>) -> T) -> Option<T> {
-        match &self.painter {
-            Painter::Gpu(gpu) => gpu.picture().map(look),
-            _ => None,
-        }
+        self.gpu()?.picture().map(look)
     }
 
     /// Frames on the device that are not done, as far as they are waited for.
     pub fn waiting(&self) -> usize {
-        match &self.painter {
-            Painter::Gpu(gpu) => gpu.waiting(),
-            _ => 0,
-        }
+        self.gpu().map_or(0, GpuRenderer::waiting)
     }
 
     /// What the latest frame on the device cost of which that is known by now; an error where the device has failed.
     pub fn figures(&mut self) -> Result<Option<Stats>> {
         match &mut self.painter {
             Painter::Gpu(gpu) => gpu.figures(),
-            _ => Ok(None),
+            #[cfg(not(target_arch = "wasm32"))]
+            Painter::Tiles(paged) => paged.figures(),
+            Painter::Cpu(_) | Painter::Exact(_) => Ok(None),
         }
     }
 }

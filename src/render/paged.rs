@@ -9,6 +9,8 @@ use crate::cpu::renderer::{CpuRenderer, Outputs, check};
 use crate::cpu::usage;
 use crate::frame::camera::Camera;
 use crate::frame::options::{Normals, Options};
+#[cfg(feature = "gpu")]
+use crate::frame::picture::Stats;
 use crate::frame::picture::{Frame, PagingStats};
 use crate::frame::plan::FramePlan;
 use crate::frame::projection::{Projection, face_cameras, join_faces};
@@ -16,6 +18,7 @@ use crate::frame::projection::{Projection, face_cameras, join_faces};
 use crate::gpu::{GpuOptions, GpuRenderer};
 use crate::render::device::Device;
 use crate::world::pager::{Pager, Paging, Patience, Wanted, wanted};
+use crate::world::probe::Probe;
 use crate::world::tables::Resident;
 use crate::world::tint::Tint;
 use crate::{Error, Result};
@@ -27,7 +30,7 @@ const COARSER: f64 = 1.25;
 const FINEST: f64 = 0.25;
 
 /// What draws from the tables.
-enum Painter {
+pub(super) enum Painter {
     Cpu(Box<CpuRenderer>),
     #[cfg(feature = "gpu")]
     Gpu(Box<GpuRenderer>),
@@ -97,10 +100,13 @@ pub(super) struct Paged {
     ahead: VecDeque<Sent>,
     /// Of the frame that comes after those, once its tiles were asked for.
     next: Option<(FramePlan, Vec<Wanted>)>,
+    /// Frames that were left on the device, whose figures have not come yet.
+    #[cfg(feature = "gpu")]
+    shown: VecDeque<(PagingStats, Vec<u32>)>,
 }
 
 /// The device that draws, as `Device` has it.
-fn open(resident: &Arc<Resident>, device: Device, tell: &mut dyn FnMut(&str)) -> Result<Painter> {
+pub(super) fn open(resident: &Arc<Resident>, device: Device, tell: &mut dyn FnMut(&str)) -> Result<Painter> {
     let cpu = || Painter::Cpu(Box::new(CpuRenderer::of_tables(Arc::clone(resident))));
     match device {
         Device::Cpu => return Ok(cpu()),
@@ -137,21 +143,29 @@ fn open(resident: &Arc<Resident>, device: Device, tell: &mut dyn FnMut(&str)) ->
     }
 }
 
+/// What a frame owes, once it is known how many of its pixels show each slot.
+fn settle(paging: &mut PagingStats, usage: &[u32], missing: &[u32]) {
+    let debt = usage.iter().zip(missing).map(|(&pixels, &levels)| u64::from(pixels) * u64::from(levels));
+    paging.debt = debt.sum();
+    paging.tiles_used = usage.iter().filter(|&&pixels| pixels > 0).count() as u32;
+}
+
 impl Paged {
+    /// `open` is told of the tables, and opens what draws from them.
     pub fn new(
         source: Arc<dyn TileSource>,
-        device: Device,
         budget: u64,
         patience: Patience,
         tint: Option<Tint>,
         tell: &mut dyn FnMut(&str),
+        open: impl FnOnce(&Arc<Resident>, &mut dyn FnMut(&str)) -> Result<Painter>,
     ) -> Result<Paged> {
         if source.has_matter() {
             tell("translucent matter is left out: it needs the whole world, and this one comes in tiles");
         }
         let (pager, resident) = Pager::new(source, budget, tint)?;
         let resident = Arc::new(resident);
-        let painter = open(&resident, device, tell)?;
+        let painter = open(&resident, tell)?;
         drop(resident);
         Ok(Paged {
             pager,
@@ -162,6 +176,8 @@ impl Paged {
             said_left_out: false,
             ahead: VecDeque::new(),
             next: None,
+            #[cfg(feature = "gpu")]
+            shown: VecDeque::new(),
         })
     }
 
@@ -227,26 +243,106 @@ impl Paged {
         self.pager.take_notices().iter().for_each(|what| tell(what));
         // What comes after those meanwhile.
         if let Some(next) = cameras().nth(self.ahead.len()) {
-            // As fine as the latest was: the budget may hold no more.
-            let options = Options { lod: self.lod(&options), ..options };
-            let plan = FramePlan::new(self.painter.tables(), next, &options);
-            if let Some(wants) = wanted(&plan.setup, self.painter.tables().dims) {
-                self.pager.prefetch(self.painter.tables(), &wants);
-                self.next = Some((plan, wants));
-            }
+            self.next = self.prefetch(next, &options);
         }
         let sent = self.ahead.pop_front().expect("the first frame was sent");
         self.finish(sent)
     }
 
-    /// Brings the tiles of a frame and, where a device draws beside the host, has it begin.
-    fn send(&mut self, job: (Camera, Options, Outputs)) -> Result<Sent> {
-        let (camera, options, outputs) = job;
-        let (plan, paging) = self.bring(&camera, &options)?;
-        let changes = self.pager.take_changes();
+    /// Asks for the tiles of a frame to come; `None` where no window holds them.
+    fn prefetch(&mut self, camera: &Camera, options: &Options) -> Option<(FramePlan, Vec<Wanted>)> {
+        // As fine as the latest was: the budget may hold no more.
+        let options = Options { lod: self.lod(options), ..*options };
+        let plan = FramePlan::new(self.painter.tables(), camera, &options);
+        let wants = wanted(&plan.setup, self.painter.tables().dims)?;
+        self.pager.prefetch(self.painter.tables(), &wants);
+        Some((plan, wants))
+    }
+
+    /// Draws one frame for a window: here, or on the device, which keeps it ([`Paged::gpu`]). `soon` is where the camera will be
+    /// soon, as far as that can be told.
+    #[cfg(feature = "gpu")]
+    pub fn show(
+        &mut self,
+        camera: &Camera,
+        soon: Option<&Camera>,
+        options: &Options,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<Option<Frame>> {
+        check(camera, options)?;
+        let options = self.drawn(options, tell)?;
+        self.forget();
+        let frame = match self.painter {
+            Painter::Cpu(_) => {
+                let sent = self.send((*camera, options, Outputs::default()))?;
+                Some(self.finish(sent)?)
+            }
+            Painter::Gpu(_) => {
+                let (plan, mut paging, missing) = self.ready(camera, &options)?;
+                let Painter::Gpu(gpu) = &mut self.painter else { unreachable!("it is a GPU") };
+                paging.bytes_uploaded = gpu.bring(&self.pager.take_changes())?;
+                gpu.set_usage(!missing.is_empty());
+                if gpu.draw_plan(plan)? {
+                    self.shown.push_back((paging, missing));
+                }
+                None
+            }
+        };
+        self.pager.take_notices().iter().for_each(|what| tell(what));
+        if let Some(soon) = soon.filter(|soon| check(soon, &options).is_ok()) {
+            self.prefetch(soon, &options);
+        }
+        Ok(frame)
+    }
+
+    /// What the latest frame that was left on the device cost of which that is known by now.
+    #[cfg(feature = "gpu")]
+    pub fn figures(&mut self) -> Result<Option<Stats>> {
+        let Painter::Gpu(gpu) = &mut self.painter else { return Ok(None) };
+        let mut latest = None;
+        while let Some(mut stats) = gpu.next_figures()? {
+            let (mut paging, missing) = self.shown.pop_front().expect("frames' figures come in their order");
+            settle(&mut paging, gpu.usage(), &missing);
+            stats.paging = paging;
+            latest = Some(stats);
+        }
+        Ok(latest)
+    }
+
+    /// What draws, where that is a GPU.
+    #[cfg(feature = "gpu")]
+    pub fn gpu(&self) -> Option<&GpuRenderer> {
+        match &self.painter {
+            Painter::Gpu(gpu) => Some(gpu),
+            Painter::Cpu(_) => None,
+        }
+    }
+
+    #[cfg(feature = "gpu")]
+    pub fn gpu_mut(&mut self) -> Option<&mut GpuRenderer> {
+        match &mut self.painter {
+            Painter::Gpu(gpu) => Some(gpu),
+            Painter::Cpu(_) => None,
+        }
+    }
+
+    /// How long frames from the next one on wait for their tiles; how long they did so far.
+    pub fn set_patience(&mut self, patience: Patience) -> Patience {
+        std::mem::replace(&mut self.patience, patience)
+    }
+
+    /// Looks into the tiles that are there.
+    pub fn probe(&self) -> Probe<'_> {
+        Probe::new(&self.pager, self.painter.tables())
+    }
+
+    /// Brings the tiles of a frame. Of each slot, how many levels coarser it is than it should be; none where pixels need not be
+    /// counted.
+    fn ready(&mut self, camera: &Camera, options: &Options) -> Result<(FramePlan, PagingStats, Vec<u32>)> {
+        let (plan, paging) = self.bring(camera, options)?;
         let count = self.count || paging.missing > 0;
         let missing = if count { self.pager.missing_by_slot() } else { Vec::new() };
-        let mut paging = PagingStats {
+        let paging = PagingStats {
             tiles_wanted: paging.wanted,
             tiles_missing: paging.missing,
             tiles_arrived: paging.arrived,
@@ -258,12 +354,20 @@ impl Paged {
             lod: plan.options.lod.unwrap_or(0.0),
             ..PagingStats::default()
         };
+        Ok((plan, paging, missing))
+    }
+
+    /// Brings the tiles of a frame and, where a device draws beside the host, has it begin.
+    fn send(&mut self, job: (Camera, Options, Outputs)) -> Result<Sent> {
+        let (camera, options, outputs) = job;
+        let (plan, mut paging, missing) = self.ready(&camera, &options)?;
+        let changes = self.pager.take_changes();
         let plan = match &mut self.painter {
             Painter::Cpu(_) => Some(plan),
             #[cfg(feature = "gpu")]
             Painter::Gpu(gpu) => {
                 paging.bytes_uploaded = gpu.bring(&changes)?;
-                gpu.set_usage(count);
+                gpu.set_usage(!missing.is_empty());
                 gpu.submit_plan(plan, outputs)?;
                 None
             }
@@ -293,9 +397,7 @@ impl Paged {
                 (frame, gpu.usage().to_vec())
             }
         };
-        let debt = usage.iter().zip(&missing).map(|(&pixels, &levels)| u64::from(pixels) * u64::from(levels));
-        paging.debt = debt.sum();
-        paging.tiles_used = usage.iter().filter(|&&pixels| pixels > 0).count() as u32;
+        settle(&mut paging, &usage, &missing);
         frame.stats.paging = paging;
         Ok(frame)
     }

@@ -118,26 +118,42 @@ pub fn moves(code: &str) -> bool {
 }
 
 /// What is solid, for a body.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Ground<'a> {
-    columns: &'a Columns,
+    solids: Solids<'a>,
+    dims: [u32; 3],
     repeat: Repeat,
+}
+
+#[derive(Clone, Copy)]
+enum Solids<'a> {
+    Columns(&'a Columns),
+    Voxels(&'a dyn Fn(u32, u32, u32) -> bool),
 }
 
 impl<'a> Ground<'a> {
     /// `columns`: level 0.
     pub fn new(columns: &'a Columns, repeat: Repeat) -> Ground<'a> {
-        Ground { columns, repeat }
+        Ground { solids: Solids::Columns(columns), dims: columns.dims(), repeat }
+    }
+
+    /// Of a world of these sides, voxel by voxel.
+    pub fn of_voxels(dims: [u32; 3], solid: &'a dyn Fn(u32, u32, u32) -> bool) -> Ground<'a> {
+        Ground { solids: Solids::Voxels(solid), dims, repeat: Repeat::default() }
     }
 
     /// Whether a voxel is solid: two binary searches.
     pub fn solid(&self, x: i64, y: i64, z: i64) -> bool {
-        let [nx, ny, nz] = self.columns.dims();
+        let [nx, ny, nz] = self.dims;
         let place = |v: i64, n: u32, repeat: bool| {
             if repeat { Some(v.rem_euclid(i64::from(n)) as u32) } else { u32::try_from(v).ok().filter(|&v| v < n) }
         };
         let at = (place(x, nx, self.repeat.x), place(y, ny, false), place(z, nz, self.repeat.z));
-        matches!(at, (Some(x), Some(y), Some(z)) if self.columns.find(x, y, z).is_some())
+        let (Some(x), Some(y), Some(z)) = at else { return false };
+        match self.solids {
+            Solids::Columns(columns) => columns.find(x, y, z).is_some(),
+            Solids::Voxels(solid) => solid(x, y, z),
+        }
     }
 
     /// Whether a body with its eye there, `below` voxels tall to the eye, holds a part of a solid voxel.

@@ -49,6 +49,14 @@ use crate::frame::options::Options;
 use crate::render::device::Device;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::world::OpenOptions;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::world::pager::Patience;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::world::residency::ResidencyOptions;
+
+/// Milliseconds that a frame of the window waits for its tiles, unless others are given: half of one at 60 frames a second.
+#[cfg(not(target_arch = "wasm32"))]
+pub const PATIENCE: Patience = Patience::Deadline(8.0);
 
 /// What `planecast view` is told.
 #[cfg(not(target_arch = "wasm32"))]
@@ -57,6 +65,7 @@ pub struct Settings {
     /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
     pub input: Option<PathBuf>,
     pub how: OpenOptions,
+    pub residency: ResidencyOptions,
     /// Where to begin; without an eye, where the scene was left, or a good view.
     pub eye: Option<glam::DVec3>,
     pub yaw: Option<f64>,

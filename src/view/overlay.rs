@@ -6,6 +6,7 @@ use planecast_encoder::About;
 
 use crate::film::path::Pose;
 use crate::frame::camera::Camera;
+use crate::frame::picture::Stats;
 
 /// Points that a scale bar takes at most.
 const BAR: f64 = 160.0;
@@ -92,10 +93,13 @@ pub fn measured(about: &About, from: DVec3, to: DVec3) -> String {
     )
 }
 
-/// Where a place of the world is, in voxels and in coordinates of the source.
-pub fn place(about: &About, voxel: [u32; 3], at: DVec3, value: Option<f32>) -> String {
+/// Where a place of the world is, in voxels, of which a coarse one is several wide, and in coordinates of the source.
+pub fn place(about: &About, voxel: [u32; 3], level: u32, at: DVec3, value: Option<f32>) -> String {
     let [x, y, z] = voxel;
     let mut text = format!("voxel {x}, {y}, {z}");
+    if level > 0 {
+        text += &format!(" ({} wide)", 1u64 << level);
+    }
     if let Some(rows) = about.affine {
         let [east, north, up] = rows.map(|[a, b, c, d]| a * at.x + b * at.y + c * at.z + d);
         let fine = |row: [f64; 4]| row[..3].iter().map(|v| v.abs()).fold(0.0, f64::max);
@@ -119,6 +123,20 @@ pub fn place(about: &About, voxel: [u32; 3], at: DVec3, value: Option<f32>) -> S
         text += &format!("   value {value}");
     }
     text
+}
+
+/// What a frame owes whose tiles are not all there.
+pub fn owed(stats: &Stats) -> Option<String> {
+    let paging = &stats.paging;
+    let pixels = (f64::from(stats.width) * f64::from(stats.height)).max(1.0);
+    (paging.tiles_missing > 0).then(|| {
+        format!(
+            "{} of {} tiles are on their way: pixels are {:.3} levels too coarse, in the mean",
+            paging.tiles_missing,
+            paging.tiles_wanted,
+            paging.debt as f64 / pixels
+        )
+    })
 }
 
 /// Degrees clockwise from straight ahead to north, seen from above; None where nothing says where north is.
@@ -274,6 +292,16 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_says_what_it_owes_until_its_tiles_are_there() {
+        let mut stats = Stats { width: 40, height: 25, ..Stats::default() };
+        (stats.paging.tiles_wanted, stats.paging.tiles_missing, stats.paging.debt) = (60, 7, 310);
+        let said = "7 of 60 tiles are on their way: pixels are 0.310 levels too coarse, in the mean";
+        assert_eq!(owed(&stats).as_deref(), Some(said));
+        stats.paging.tiles_missing = 0;
+        assert_eq!(owed(&stats), None);
+    }
+
+    #[test]
     fn a_ruler_measures_on_the_ground_and_begins_anew_with_a_third_place() {
         let (a, b) = (DVec3::new(10.0, 5.0, 10.0), DVec3::new(13.0, 7.0, 14.0));
         assert_eq!(measured(&map(), a, b), "151 m: 150 m across, 20 m up");
@@ -300,8 +328,9 @@ mod tests {
     #[test]
     fn a_place_is_told_in_voxels_and_in_coordinates() {
         let at = DVec3::new(10.5, 6.0, 20.5);
-        assert_eq!(place(&map(), [10, 5, 20], at, None), "voxel 10, 5, 20   E 500315, N 3999385, height 260 m");
-        assert_eq!(place(&About::default(), [1, 2, 3], at, Some(87.0)), "voxel 1, 2, 3   value 87");
+        assert_eq!(place(&map(), [10, 5, 20], 0, at, None), "voxel 10, 5, 20   E 500315, N 3999385, height 260 m");
+        assert_eq!(place(&About::default(), [1, 2, 3], 0, at, Some(87.0)), "voxel 1, 2, 3   value 87");
+        assert_eq!(place(&About::default(), [8, 0, 16], 3, at, None), "voxel 8, 0, 16 (8 wide)");
     }
 
     #[test]

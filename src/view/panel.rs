@@ -15,7 +15,7 @@ use crate::frame::options::{Options, Planes, Remap, Shading};
 use crate::frame::picture::{StageTimes, Stats};
 use crate::frame::preset::Preset;
 use crate::render::drawer::Draws;
-use crate::world::World;
+use crate::world::residency::Held;
 use crate::{Feature, Kernel};
 
 /// Frames that the graph shows.
@@ -106,7 +106,7 @@ impl Default for Panel {
 
 /// What the panel shows and may change.
 pub struct Subject<'s> {
-    pub world: Option<&'s World>,
+    pub world: Option<&'s Held>,
     pub control: &'s mut Control,
     pub options: &'s mut Options,
     pub draws: Draws,
@@ -191,9 +191,9 @@ impl Panel {
             }
         });
         if let Some(world) = subject.world {
-            let [x, y, z] = world.resident.dims;
+            let [x, y, z] = world.dims();
             ui.label(RichText::new(world.name()).strong());
-            let kind = world.about.kind.map_or(String::new(), |kind| format!("{}, ", kind.name()));
+            let kind = world.about().kind.map_or(String::new(), |kind| format!("{}, ", kind.name()));
             ui.label(format!("{kind}{x} × {y} × {z} voxels"));
         }
         ui.separator();
@@ -211,7 +211,7 @@ impl Panel {
             self.times(ui, subject);
             if let Some(world) = subject.world {
                 ui.separator();
-                scene(ui, world, self.stats.bytes_scene_gpu);
+                scene(ui, world, &self.stats);
             }
         });
     }
@@ -441,10 +441,10 @@ fn button(ui: &mut Ui, text: &str, wish: Wish, wishes: &mut Vec<Wish>) {
 
 /// How the input is read: what can be changed while it is looked at.
 fn tuning(ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
-    let Some(world) = subject.world.filter(|w| w.encoded) else { return };
-    let (rule, tune) = (&world.about.rule, &mut *subject.tune);
-    let is_terrain = world.about.kind == Some(Kind::Terrain);
-    let is_volume = matches!(world.about.kind, Some(Kind::Volume | Kind::Labels));
+    let Some(world) = subject.world.filter(|w| w.encoded()) else { return };
+    let (rule, tune) = (&world.about().rule, &mut *subject.tune);
+    let is_terrain = world.about().kind == Some(Kind::Terrain);
+    let is_volume = matches!(world.about().kind, Some(Kind::Volume | Kind::Labels));
     if !is_terrain && !is_volume {
         return;
     }
@@ -470,7 +470,7 @@ fn tuning(ui: &mut Ui, subject: &mut Subject<'_>, wishes: &mut Vec<Wish>) {
                     wishes.push(Wish::Tuned(Keeps::Nothing));
                 }
             }
-            let mut as_is = tune.as_is.unwrap_or(world.about.left_out.iter().any(|l| l.contains("--spacing as-is")));
+            let mut as_is = tune.as_is.unwrap_or(world.about().left_out.iter().any(|l| l.contains("--spacing as-is")));
             if ui.checkbox(&mut as_is, "voxels as cubes").changed() {
                 tune.as_is = Some(as_is);
                 wishes.push(Wish::Tuned(Keeps::Nothing));
@@ -513,9 +513,10 @@ fn bars(ui: &mut Ui, histogram: &[u32], threshold: f32) {
 }
 
 /// What the input is, and how it was read.
-fn about(ui: &mut Ui, world: &World) {
-    let text = world.about.to_string();
-    for line in text.lines().flat_map(|line| line.split("; ")).chain(world.notes.iter().map(String::as_str)) {
+fn about(ui: &mut Ui, world: &Held) {
+    let text = world.about().to_string();
+    let notes = world.whole().into_iter().flat_map(|world| &world.notes);
+    for line in text.lines().flat_map(|line| line.split("; ")).chain(notes.map(String::as_str)) {
         ui.label(RichText::new(line).small());
     }
 }
@@ -562,11 +563,26 @@ fn optional(ui: &mut Ui, name: &str, value: &mut Option<f64>, usual: f64) {
     });
 }
 
-fn scene(ui: &mut Ui, world: &World, on_gpu: u64) {
-    let [x, y, z] = world.resident.dims;
+fn scene(ui: &mut Ui, world: &Held, stats: &Stats) {
+    let [x, y, z] = world.dims();
     ui.label(RichText::new(world.name()).strong());
-    ui.label(format!("{x} × {y} × {z} voxels, {} levels", world.resident.levels.len()));
     let bytes = planecast_encoder::encode::memory::display;
+    let (world, on_gpu) = match world {
+        Held::Whole(world) => (world, stats.bytes_scene_gpu),
+        Held::Tiles(tiles) => {
+            let paging = &stats.paging;
+            ui.label(format!("{x} × {y} × {z} voxels, {} levels, in tiles", tiles.source.levels()));
+            ui.label(format!(
+                "{} tiles wanted, {} missing; {} came, {} went",
+                paging.tiles_wanted, paging.tiles_missing, paging.tiles_arrived, paging.tiles_evicted
+            ));
+            ui.label(format!("debt {} levels × pixels; drawn with lod {:.2}", paging.debt, paging.lod));
+            ui.label(format!("{} of tiles in memory", bytes(paging.bytes_resident)));
+            ui.label(format!("{:.2} ms for reading, {:.2} for the tables", paging.unpack_ms, paging.upload_ms));
+            return;
+        }
+    };
+    ui.label(format!("{x} × {y} × {z} voxels, {} levels", world.resident.levels.len()));
     let b = &world.bytes;
     if b.total > 0 {
         ui.label(format!(

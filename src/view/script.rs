@@ -27,7 +27,7 @@
 //! | `drag` | `{"from": [x, y], "to": [x, y]}`: the mouse moves with its button down |
 //! | `tune` | the input is read in another way: any of `threshold`, `up`, `as_is`, `ramp`, `exaggeration` |
 //! | `refine` | whether all pixels and the best preset are drawn at rest; scripts begin without |
-//! | `wait` | until the input is read as it was wanted |
+//! | `wait` | until the input is read as it was wanted, and all tiles of a world that comes in tiles are there |
 //! | `drop` | a file is dropped on the window |
 //! | `lose_device` | the GPU's device is given up, as when a driver is reset |
 //! | `surface` | the surface is `outdated`, as when the window changes under it, or `lost` |

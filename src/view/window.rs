@@ -29,7 +29,7 @@ use super::{Settings, last, pose_flags};
 use crate::cpu::exact;
 use crate::cpu::renderer::{CpuRenderer, Outputs};
 use crate::film::path::{Path as Route, Pose};
-use crate::film::tour::{self, View};
+use crate::film::tour::View;
 use crate::frame::aim::Typed;
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
@@ -38,6 +38,8 @@ use crate::frame::preset::Preset;
 use crate::gpu::present::Way;
 use crate::render::device::Device;
 use crate::render::drawer::{Drawer, Drawn, Draws};
+use crate::world::probe::Met;
+use crate::world::residency::Held;
 use crate::world::{OpenOptions, Opening, World};
 use crate::{Error, Kernel, Result, cli, output};
 
@@ -58,6 +60,12 @@ const SETTLED: Duration = Duration::from_millis(400);
 
 /// A button that comes up this near to where it went down, pixels, is a click.
 const CLICK: f64 = 4.0;
+
+/// Seconds that tiles are asked for ahead.
+const AHEAD: f64 = 0.25;
+
+/// A frame whose tiles do not come is drawn anew so often, and else as soon as some have come.
+const AGAIN: Duration = Duration::from_millis(50);
 
 /// Bars of the histogram.
 const BARS: usize = 96;
@@ -136,7 +144,7 @@ struct App {
     outcome: Result<()>,
     screen: Option<Screen>,
     opening: Option<Opening>,
-    world: Option<Arc<World>>,
+    world: Option<Arc<Held>>,
     drawer: Option<Drawer>,
     /// What draws, or would.
     draws: Draws,
@@ -170,6 +178,8 @@ struct App {
     /// Voxel, place and value under the mouse, in words, and from the eye to the middle of the picture.
     hover: Option<String>,
     ahead: Option<f64>,
+    /// Where the camera will be soon, if it goes on as it does.
+    soon: Option<Pose>,
     /// Nothing of the world is in sight.
     lost: bool,
     /// What was drawn last was as all is drawn at rest; the view that rests, and since when.
@@ -213,7 +223,7 @@ impl App {
                 screenshot_size: settings.screenshot_size,
                 ..Panel::default()
             },
-            opening: input.map(|path| Opening::begin(&path, &settings.how)),
+            opening: input.map(|path| Opening::begin(&path, &settings.how, &settings.residency)),
             settings,
             outcome: Ok(()),
             screen: None,
@@ -241,6 +251,7 @@ impl App {
             recent: last::recent_file().map(|file| last::recent(&file)).unwrap_or_default(),
             hover: None,
             ahead: None,
+            soon: None,
             lost: false,
             seen: (pose, options, [0; 2]),
             rests: Instant::now(),
@@ -362,14 +373,29 @@ impl App {
         (self.drawn, self.map) = (None, None);
         self.panel.costs.clear();
         let preview = self.preview.as_ref().map(|(world, _)| world.clone());
-        let Some(world) = preview.or_else(|| self.world.clone()) else { return Ok(()) };
-        let drawer = Drawer::new(world.clone(), self.draws, self.device());
+        let Some(held) = self.world.clone() else { return Ok(()) };
+        let residency = self.settings.residency;
+        let make = |draws, device: Option<&_>| match (&preview, &*held) {
+            (Some(world), _) => Drawer::new(world, draws, device),
+            (None, Held::Whole(world)) => Drawer::new(world, draws, device),
+            (None, Held::Tiles(tiles)) => Drawer::of_tiles(tiles, &residency, draws, device),
+        };
+        let drawer = match make(self.draws, self.device()) {
+            // What draws tiles is planes.
+            Err(Error::Argument(what)) => {
+                self.draws =
+                    if matches!(self.draws, Draws::Gpu(_)) { Draws::Gpu(Kernel::default()) } else { Draws::Cpu };
+                self.say(what);
+                make(self.draws, self.device())
+            }
+            drawer => drawer,
+        };
         self.drawer = Some(match drawer {
             Err(e @ (Error::Limit(_) | Error::Device(_))) if matches!(self.draws, Draws::Gpu(_)) => {
                 self.device().map_or(Ok(()), crate::gpu::present::Device::check)?;
                 self.note(format!("drawing on the cpu: {e}"));
                 self.draws = Draws::Cpu;
-                Drawer::new(world, self.draws, None)?
+                make(self.draws, None)?
             }
             drawer => drawer?,
         });
@@ -381,10 +407,10 @@ impl App {
     }
 
     /// Takes another reading of the input that is there.
-    fn renew(&mut self, world: World, keeps: Keeps) -> Result<()> {
+    fn renew(&mut self, world: Held, keeps: Keeps) -> Result<()> {
         self.preview = None;
         if let Some(old) = &self.world {
-            let [was, is] = [old.resident.dims[1], world.resident.dims[1]].map(f64::from);
+            let [was, is] = [old.dims()[1], world.dims()[1]].map(f64::from);
             if keeps == Keeps::Height && was > 0.0 {
                 // What is looked at stays where it is in the picture.
                 let forward = self.control.pose.camera([1, 1]).basis().forward;
@@ -396,7 +422,7 @@ impl App {
         }
         if keeps == Keeps::Nothing {
             let pose = self.good_view_of(&world);
-            self.control.target = tour::Subject::new(&world.scene).center();
+            self.control.target = world.center();
             self.control.place(pose);
             self.ruler.places.clear();
         }
@@ -411,13 +437,13 @@ impl App {
 
     /// Reads the input that is there once more, as it is tuned.
     fn reread(&mut self, keeps: Keeps) -> Result<()> {
-        let Some(world) = self.world.as_ref().filter(|w| w.encoded) else { return Ok(()) };
+        let Some(world) = self.world.as_ref().filter(|w| w.encoded()) else { return Ok(()) };
         if self.opening.is_some() {
             self.again = Some(keeps);
             return Ok(());
         }
         let how = OpenOptions { read: self.tune.of(&self.settings.how.read), ..self.settings.how.clone() };
-        self.opening = Some(Opening::begin(&world.path, &how));
+        self.opening = Some(Opening::begin(world.path(), &how, &self.settings.residency));
         self.keeps = Some(keeps);
         Ok(())
     }
@@ -444,15 +470,15 @@ impl App {
 
     /// The values of a volume are read for thresholds to come.
     fn watch(&mut self) {
-        let Some(world) = self.world.as_ref().filter(|w| w.encoded) else { return };
-        if self.live.is_none() && matches!(world.about.kind, Some(Kind::Volume | Kind::Labels)) {
+        let Some(world) = self.world.as_ref().filter(|w| w.encoded()) else { return };
+        if self.live.is_none() && matches!(world.about().kind, Some(Kind::Volume | Kind::Labels)) {
             let how = OpenOptions { read: self.tune.of(&self.settings.how.read), ..self.settings.how.clone() };
-            self.live = Some(Live::begin(&world.path, &how));
+            self.live = Some(Live::begin(world.path(), &how));
         }
     }
 
     /// Goes into a world that was opened.
-    fn enter(&mut self, world: World) -> Result<()> {
+    fn enter(&mut self, world: Held) -> Result<()> {
         if let Some(keeps) = self.keeps.take() {
             self.renew(world, keeps)?;
             self.watch();
@@ -463,35 +489,35 @@ impl App {
         self.ruler.places.clear();
         let first = self.world.is_none();
         let view = self.good_view_of(&world);
-        let left = last::file().and_then(|file| last::recall(&file, &world.content_hash));
+        let left = content(&world).and_then(|content| last::recall(&last::file()?, content));
         let s = &self.settings;
         let typed = Typed { eye: s.eye, yaw: s.yaw, pitch: s.pitch, roll: s.roll.unwrap_or(0.0) };
         let is_typed = s.aim.is_given() || [s.yaw, s.pitch].iter().any(Option::is_some) || s.eye.is_some();
         let pose = match first && is_typed {
             true => {
                 let size = self.area()[1];
-                s.aim.pose(typed, &world.scene, View { fov: s.fov, size, repeat: self.options.repeat })?
+                world.pose(&s.aim, typed, View { fov: s.fov, size, repeat: self.options.repeat })?
             }
             false => {
                 let pose = left.unwrap_or(view);
                 Pose { roll: s.roll.filter(|_| first).unwrap_or(pose.roll), ..pose }
             }
         };
-        self.control = Control::new(pose, world.resident.dims);
-        self.control.target = tour::Subject::new(&world.scene).center();
-        self.control.set_mode(Mode::of(world.about.kind));
+        self.control = Control::new(pose, world.dims());
+        self.control.target = world.center();
+        self.control.set_mode(Mode::of(world.about().kind));
         (self.recorder, self.route, self.map) = (Recorder::default(), None, None);
         if let Some(screen) = &self.screen {
             screen.window.set_title(&format!("{} - planecast", world.name()));
         }
-        if !world.about.left_out.is_empty() {
-            self.say(format!("left out: {}", world.about.left_out.join("; ")));
+        if !world.about().left_out.is_empty() {
+            self.say(format!("left out: {}", world.about().left_out.join("; ")));
         }
         // A list that is not kept is no reason to stay.
-        if let Some(Ok(list)) = last::recent_file().map(|file| last::opened(&file, &world.path)) {
+        if let Some(Ok(list)) = last::recent_file().map(|file| last::opened(&file, world.path())) {
             self.recent = list;
         }
-        self.options.smooth = self.settings.smooth.unwrap_or(world.smooth);
+        self.options.smooth = self.settings.smooth.unwrap_or(world.whole().is_some_and(|world| world.smooth));
         self.world = Some(Arc::new(world));
         self.make_drawer()?;
         self.watch();
@@ -500,18 +526,18 @@ impl App {
 
     /// Remembers where the world was looked at.
     fn leave(&mut self) {
-        let Some(world) = self.world.as_ref().filter(|w| !w.content_hash.is_empty()) else { return };
+        let Some(content) = self.world.as_deref().and_then(content) else { return };
         let Some(file) = last::file() else { return };
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
         // A view that is not remembered is no reason to stay.
-        if let Err(e) = last::remember(&file, &world.content_hash, &self.control.pose, now) {
+        if let Err(e) = last::remember(&file, content, &self.control.pose, now) {
             planecast_encoder::note!("note: the view is not remembered: {e}");
         }
     }
 
-    fn good_view_of(&self, world: &World) -> Pose {
+    fn good_view_of(&self, world: &Held) -> Pose {
         let size = self.area()[1];
-        tour::still(&world.scene, View { fov: self.settings.fov, size, repeat: self.options.repeat })
+        world.good_view(View { fov: self.settings.fov, size, repeat: self.options.repeat })
     }
 
     /// The device was lost, or the surface is of no use: everything on it is made anew.
@@ -673,8 +699,9 @@ impl App {
             Wish::Draw(draws) => {
                 self.draws = draws;
                 self.notes.clear();
+                let whole = self.world.as_ref().is_some_and(|world| world.whole().is_some());
                 match (draws, &mut self.drawer) {
-                    (Draws::Gpu(kernel), Some(drawer)) if matches!(drawer.draws(), Draws::Gpu(_)) => {
+                    (Draws::Gpu(kernel), Some(drawer)) if whole && matches!(drawer.draws(), Draws::Gpu(_)) => {
                         drawer.set_kernel(kernel);
                         Ok(())
                     }
@@ -694,7 +721,7 @@ impl App {
             }
             Wish::Screenshot => {
                 let Some(world) = &self.world else { return Ok(()) };
-                let stem = world.scene_file().with_extension("");
+                let stem = PathBuf::from(world.name()).with_extension("");
                 let stem = stem.file_name().map_or("view".into(), |n| n.to_string_lossy().into_owned());
                 let path = unused(&format!("{stem}-view"), "png");
                 self.screenshot(&path)
@@ -712,7 +739,7 @@ impl App {
             Wish::GoodView => {
                 if let Some(world) = self.world.clone() {
                     let pose = self.good_view_of(&world);
-                    self.control.target = tour::Subject::new(&world.scene).center();
+                    self.control.target = world.center();
                     self.control.place(pose);
                 }
                 Ok(())
@@ -756,12 +783,16 @@ impl App {
     /// What a command is given for the world: a scene file, or the input and how it is tuned.
     fn scene(&self) -> String {
         match &self.world {
-            Some(world) if world.encoded => {
-                format!("{} {}", quoted(&world.path), self.tune.flags()).trim_end().to_owned()
+            Some(world) if world.encoded() => {
+                format!("{} {}", quoted(world.path()), self.tune.flags()).trim_end().to_owned()
             }
             Some(world) => {
-                let ramp = world.ramp.as_ref().map(|ramp| format!(" --ramp {}", quoted(Path::new(ramp))));
-                quoted(&world.path) + &ramp.unwrap_or_default()
+                let (ramp, tiles) = match &**world {
+                    Held::Whole(world) => (world.ramp.as_deref(), ""),
+                    Held::Tiles(_) => (self.settings.how.read.ramp.as_deref(), " --residency paged"),
+                };
+                let ramp = ramp.map(|ramp| format!(" --ramp {}", quoted(Path::new(ramp))));
+                quoted(world.path()) + tiles + &ramp.unwrap_or_default()
             }
             None => "SCENE".to_owned(),
         }
@@ -804,13 +835,18 @@ impl App {
             return Ok(());
         }
         let (camera, options) = self.view();
-        let (Some(drawer), Some(world)) = (&mut self.drawer, self.world.clone()) else { return Ok(()) };
+        let (Some(drawer), Some(held)) = (&mut self.drawer, &self.world) else { return Ok(()) };
+        let Some(world) = held.whole() else {
+            self.say("no error map: the exact reference needs the whole world, and this one comes in tiles");
+            return Ok(());
+        };
+        let (scene, resident) = (Arc::clone(&world.scene), Arc::clone(&world.resident));
         let outputs = Outputs { voxel: true };
         let frame = drawer.render(&camera, &options, outputs)?;
         self.drawn = None;
         let (send, exact) = std::sync::mpsc::channel();
         std::thread::spawn(move || {
-            let frame = CpuRenderer::new(&world.scene, &world.resident).exact(&camera, &options, outputs);
+            let frame = CpuRenderer::new(&scene, &resident).exact(&camera, &options, outputs);
             // The map may have been taken away.
             let _ = send.send(frame);
         });
@@ -833,7 +869,12 @@ impl App {
     /// Camera and options of a frame of the window, as the frame rate allows.
     fn view(&self) -> (Camera, Options) {
         let size = self.area()[1];
+        let whole = self.world.as_ref().is_none_or(|world| world.whole().is_some());
         let (size, mut options) = match &self.pace {
+            // Without a level of detail a frame wants more tiles than any memory holds.
+            _ if self.refined && !whole => {
+                (size, Options { lod: self.options.lod, ..Preset::Best.options(self.options) })
+            }
             _ if self.refined => (size, Preset::Best.options(self.options)),
             Some(pace) => (pace.size(size), pace.options(self.options)),
             None => (size, self.options),
@@ -850,8 +891,8 @@ impl App {
         (camera, options)
     }
 
-    /// What the ray through a pixel of the window meets: how far from the eye, which voxel, where.
-    fn pick(&self, [x, y]: [f64; 2]) -> Option<(DVec3, exact::Hit)> {
+    /// What the ray through a pixel of the window meets; of a world in tiles, among those that are there.
+    fn pick(&self, [x, y]: [f64; 2]) -> Option<(DVec3, Met)> {
         let world = self.world.as_ref()?;
         let [at, size] = self.area();
         let camera = self.control.pose.camera(size);
@@ -862,7 +903,14 @@ impl App {
         }
         let repeats = [self.options.repeat.x, self.options.repeat.z];
         let far = self.options.view_distance.min(1e7);
-        Some((ray, exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, far)?))
+        let met = match &**world {
+            Held::Whole(world) => {
+                let hit = exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, far)?;
+                Met { t: hit.t, voxel: hit.voxel, level: 0 }
+            }
+            Held::Tiles(_) => self.drawer.as_ref()?.probe()?.cast(eye, ray, far)?,
+        };
+        Some((ray, met))
     }
 
     fn in_area(&self, [x, y]: [f64; 2]) -> bool {
@@ -888,7 +936,7 @@ impl App {
             None => self.say("nothing but sky there"),
         }
         let (Some(world), [from, to]) = (&self.world, &self.ruler.places[..]) else { return };
-        self.say(overlay::measured(&world.about, *from, *to));
+        self.say(overlay::measured(world.about(), *from, *to));
     }
 
     /// The mouse moved so many pixels with a button down.
@@ -917,7 +965,7 @@ impl App {
         self.hover = pick.zip(self.world.as_ref()).map(|((ray, hit), world)| {
             let voxel = hit.voxel.map(|v| v.max(0) as u32);
             let value = self.live.as_ref().and_then(|live| live.grid.as_ref()?.at(voxel));
-            overlay::place(&world.about, voxel, self.control.pose.eye + ray * hit.t, value)
+            overlay::place(world.about(), voxel, hit.level, self.control.pose.eye + ray * hit.t, value)
         });
     }
 
@@ -1030,7 +1078,7 @@ impl App {
     }
 
     fn dropped(&mut self, path: &Path) {
-        self.opening = Some(Opening::begin(path, &self.settings.how));
+        self.opening = Some(Opening::begin(path, &self.settings.how, &self.settings.residency));
         (self.keeps, self.again, self.settles) = (None, None, None);
         self.linger = LINGER;
     }
@@ -1060,6 +1108,7 @@ impl App {
         if self.lost && self.world.is_some() && self.keeps.is_none() {
             lines.push("nothing but sky is in sight (Home leads back)".into());
         }
+        lines.extend(overlay::owed(&self.panel.stats));
         match &self.recorder {
             Recorder::Recording { t, .. } => lines.push(format!("recording, {t:.1} s (R stops)")),
             Recorder::Playing { t } => lines.push(format!("playing, {t:.1} s")),
@@ -1081,9 +1130,19 @@ impl App {
 
     /// Whether the eye is in a solid voxel.
     fn is_inside(&self) -> bool {
-        let Some(world) = &self.world else { return false };
         let [x, y, z] = self.control.pose.eye.floor().to_array().map(|v| v as i64);
-        Ground::new(&world.scene.levels[0].solid, self.options.repeat).solid(x, y, z)
+        self.on_ground(|ground| ground.solid(x, y, z)).unwrap_or(false)
+    }
+
+    /// What is solid about the camera; `None` while nothing is there.
+    fn on_ground<T>(&self, look: impl FnOnce(&Ground<'_>) -> T) -> Option<T> {
+        Some(match &**self.world.as_ref()? {
+            Held::Whole(world) => look(&Ground::new(&world.scene.levels[0].solid, self.options.repeat)),
+            Held::Tiles(tiles) => {
+                let probe = self.drawer.as_ref()?.probe()?;
+                look(&Ground::of_voxels(tiles.source.dims(), &|x, y, z| probe.solid(x, y, z)))
+            }
+        })
     }
 
     /// Whether the next frame should be drawn at once.
@@ -1156,9 +1215,9 @@ impl App {
         self.arrivals()?;
         self.run_script(event_loop, &mut dt)?;
         let before = self.control.pose;
-        if let Some(world) = self.world.clone() {
-            let ground = Ground::new(&world.scene.levels[0].solid, self.options.repeat);
-            self.control.step(dt, &ground);
+        let mut control = self.control.clone();
+        if self.on_ground(|ground| control.step(dt, ground)).is_some() {
+            self.control = control;
         }
         let played = self.recorder.step(dt, self.control.pose, self.route.as_ref());
         if let Some(pose) = played {
@@ -1167,6 +1226,7 @@ impl App {
         if self.control.pose != before {
             self.linger = LINGER;
         }
+        self.soon = (self.control.pose != before && dt > 0.0).then(|| ahead(before, self.control.pose, AHEAD / dt));
         let seen = (self.control.pose, self.options, self.size);
         if self.seen != seen || self.preview.is_some() || self.dragging.is_some() {
             (self.seen, self.rests, self.refined) = (seen, now, false);
@@ -1199,7 +1259,8 @@ impl App {
             Awaited::Scale(scale) => self.scale == scale,
             Awaited::Reading => {
                 let live = self.live.as_ref().is_none_or(|live| live.read && !live.waits);
-                live && self.settles.is_none() && self.opening.is_none()
+                let arrives = self.panel.stats.paging.tiles_missing > 0;
+                live && self.settles.is_none() && self.opening.is_none() && !arrives
             }
         };
         if here {
@@ -1250,11 +1311,13 @@ impl App {
             // The map is of one view.
             self.map = None;
         }
+        let soon = self.soon.map(|pose| pose.camera([camera.width, camera.height]));
         let Some(drawer) = &mut self.drawer else { return Ok(()) };
         // While someone looks at the times, each frame is drawn, so that they are of now.
         let job = (camera, options, drawer.draws());
-        if self.drawn != Some(job) {
-            match drawer.draw(&camera, &options) {
+        let owes = self.panel.stats.paging.tiles_missing > 0;
+        if self.drawn != Some(job) || owes {
+            match drawer.draw(&camera, soon.as_ref(), &options) {
                 Ok(Drawn::OnDevice) => self.pixels = None,
                 Ok(Drawn::Here(frame)) => {
                     let stats = frame.stats.clone();
@@ -1271,6 +1334,9 @@ impl App {
                 Err(e) => return Err(e),
             }
             self.drawn = Some(job);
+        }
+        for what in self.drawer.as_mut().map(Drawer::take_notices).unwrap_or_default() {
+            self.say(what);
         }
         if let Some(stats) = self.drawer.as_mut().map(Drawer::figures).transpose()?.flatten() {
             self.figures(stats);
@@ -1365,7 +1431,7 @@ impl App {
         let overlay =
             self.world.as_ref().filter(|_| self.panel.open || self.ruler.on || fault.is_some()).map(|world| Overlay {
                 pose,
-                about: &world.about,
+                about: world.about(),
                 area: egui::Rect::from_min_size(min, egui::vec2(points(area[0]), points(area[1]))),
                 distance: self.ahead,
                 hover: self.hover.clone(),
@@ -1411,6 +1477,22 @@ impl App {
             self.wish(wish)?;
         }
         Ok(())
+    }
+}
+
+/// By what a world is known again.
+fn content(world: &Held) -> Option<&str> {
+    world.whole().map(|world| world.content_hash.as_str()).filter(|content| !content.is_empty())
+}
+
+/// The pose that comes `times` as far after one as that came after another.
+fn ahead(before: Pose, now: Pose, times: f64) -> Pose {
+    let turn = |a: f64, b: f64| (b - a + 180.0).rem_euclid(360.0) - 180.0;
+    Pose {
+        eye: now.eye + (now.eye - before.eye) * times,
+        yaw: now.yaw + turn(before.yaw, now.yaw) * times,
+        pitch: (now.pitch + (now.pitch - before.pitch) * times).clamp(-90.0, 90.0),
+        ..now
     }
 }
 
@@ -1565,8 +1647,11 @@ impl ApplicationHandler for App {
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
         let Some(screen) = &self.screen else { return };
         let now = Instant::now();
+        let paging = self.panel.stats.paging;
         let due = self.repaint_at.is_some_and(|t| t <= now);
-        if self.is_active() || due {
+        // Those that have come are shown at once.
+        let arrives = paging.tiles_missing > 0 && paging.tiles_arrived > 0;
+        if self.is_active() || due || arrives {
             screen.window.request_redraw();
             event_loop.set_control_flow(ControlFlow::Poll);
             return;
@@ -1575,7 +1660,8 @@ impl ApplicationHandler for App {
         let words = self.words.iter().map(|w| w.1).min();
         let noted = (!self.notes.is_empty()).then_some(self.noted + NOTES).filter(|t| *t > now);
         let rests = (self.panel.refines && !self.refined && self.world.is_some()).then_some(self.rests + REST);
-        match [self.repaint_at, words, noted, rests].into_iter().flatten().min() {
+        let again = (paging.tiles_missing > 0).then(|| now + AGAIN);
+        match [self.repaint_at, words, noted, rests, again].into_iter().flatten().min() {
             Some(t) => event_loop.set_control_flow(ControlFlow::WaitUntil(t)),
             None => event_loop.set_control_flow(ControlFlow::Wait),
         }

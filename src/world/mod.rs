@@ -6,6 +6,9 @@ pub mod matter;
 pub mod pager;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod preview;
+pub mod probe;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod residency;
 pub mod tables;
 pub mod tint;
 pub mod tree;
@@ -21,6 +24,8 @@ use planecast_encoder::source::{self, ReadOptions};
 use planecast_encoder::{About, Colors, Columns, ColumnsBuilder, Input, PcastFile, Run, Scene};
 
 use crate::frame::specialize::Features;
+#[cfg(not(target_arch = "wasm32"))]
+use crate::world::residency::{Held, ResidencyOptions};
 use crate::world::tables::Resident;
 #[cfg(not(target_arch = "wasm32"))]
 use crate::world::tint::Tint;
@@ -192,6 +197,12 @@ impl World {
         let mut notes = Vec::new();
         let opened =
             planecast_encoder::encode::open::open(path, &how.read, watch, &mut |of| notes = of.notes().to_vec())?;
+        World::of_opened_with(&opened, path, how, notes)
+    }
+
+    /// The same of what was found at `path`, and of what its reader noted.
+    #[cfg(not(target_arch = "wasm32"))]
+    fn of_opened_with(opened: &Opened, path: &Path, how: &OpenOptions, notes: Vec<String>) -> Result<World> {
         let skip_broken = how.skip_broken && !opened.encoded;
         let mut world = World::of_file(&opened.file, path, opened.encoded, skip_broken, how.specialize)?;
         // An input has the ramp's colours by now.
@@ -226,13 +237,13 @@ impl World {
 
     /// What a window calls it.
     pub fn name(&self) -> String {
-        self.path.file_name().map_or_else(|| self.path.display().to_string(), |n| n.to_string_lossy().into_owned())
+        name_of(&self.path)
     }
+}
 
-    /// What a command is given for it: the scene file, or one that `encode` would make.
-    pub fn scene_file(&self) -> PathBuf {
-        if self.encoded { PathBuf::from(self.name()).with_extension("pcast") } else { self.path.clone() }
-    }
+/// What a window calls a file.
+fn name_of(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
 }
 
 /// Whether a world is land without colours.
@@ -261,24 +272,24 @@ fn expected(sides: &[u32], n: usize) -> Result<()> {
 pub struct Opening {
     pub path: PathBuf,
     watch: Arc<Watch>,
-    answer: std::sync::mpsc::Receiver<Result<World>>,
+    answer: std::sync::mpsc::Receiver<Result<Held>>,
 }
 
 #[cfg(not(target_arch = "wasm32"))]
 impl Opening {
-    pub fn begin(path: &Path, how: &OpenOptions) -> Opening {
+    pub fn begin(path: &Path, how: &OpenOptions, residency: &ResidencyOptions) -> Opening {
         let watch = Arc::new(Watch::default());
         let (send, answer) = std::sync::mpsc::channel();
-        let (owned, how, watching) = (path.to_owned(), how.clone(), watch.clone());
+        let (owned, how, residency, watching) = (path.to_owned(), how.clone(), *residency, watch.clone());
         std::thread::spawn(move || {
             // Nobody may wait any more.
-            let _ = send.send(World::open_with(&owned, &how, &watching));
+            let _ = send.send(Held::open(&owned, &how, &residency, &watching));
         });
         Opening { path: path.to_owned(), watch, answer }
     }
 
     /// The world, or why there is none; `None` while it is on its way.
-    pub fn poll(&self) -> Option<Result<World>> {
+    pub fn poll(&self) -> Option<Result<Held>> {
         use std::sync::mpsc::TryRecvError;
         match self.answer.try_recv() {
             Ok(world) => Some(world),
@@ -309,6 +320,8 @@ mod tests {
     use planecast_encoder::encode::{self, EncodeOptions};
 
     use super::*;
+    use crate::world::pager::Patience;
+    use crate::world::residency::Residency;
 
     #[test]
     fn world_of_an_input_is_that_of_its_scene_file() {
@@ -319,13 +332,20 @@ mod tests {
         let file = dir.path().join("rocks.pcast");
         let pieces = source::open_pieces(name, &ReadOptions::default()).unwrap();
         encode::encode(&*pieces, &EncodeOptions::default(), &file, &Watch::default()).unwrap();
-        let opening = Opening::begin(&file, &OpenOptions::default());
-        let read = loop {
-            match opening.poll() {
-                Some(world) => break world.unwrap(),
-                None => std::thread::yield_now(),
+        let residency =
+            |residency| ResidencyOptions { residency, memory: None, memory_gpu: None, patience: Patience::Wait };
+        let poll = |asked| {
+            let opening = Opening::begin(&file, &OpenOptions::default(), &residency(asked));
+            loop {
+                match opening.poll() {
+                    Some(world) => break world.unwrap(),
+                    None => std::thread::yield_now(),
+                }
             }
         };
+        let Held::Tiles(tiles) = poll(Residency::Paged) else { panic!("asked for in tiles") };
+        assert_eq!((tiles.source.dims(), tiles.about), (direct.dims(), direct.about.clone()));
+        let Held::Whole(read) = poll(Residency::Auto) else { panic!("it is small") };
         assert!(!read.encoded && read.scene == direct.scene && read.content_hash == direct.content_hash);
         let bytes = World::from_bytes(Path::new("dropped"), std::fs::read(&file).unwrap()).unwrap();
         assert_eq!(bytes.content_hash, direct.content_hash);

@@ -56,6 +56,7 @@ struct Shows {
 #[wasm_bindgen]
 pub struct Page {
     shows: Option<Shows>,
+    world: Option<Arc<World>>,
     drawer: Option<Drawer>,
     control: Control,
     /// The level of the file that is level 0 of the scene: finer ones are on their way.
@@ -105,6 +106,7 @@ impl Page {
         let pose = Pose { eye: DVec3::ZERO, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: FOV };
         Ok(Page {
             shows,
+            world: None,
             drawer: None,
             control: Control::new(pose, [1; 3]),
             level: 0,
@@ -127,8 +129,8 @@ impl Page {
             None => (Draws::Cpu, None),
         };
         // First the old one's memory.
-        self.drawer = None;
-        let mut drawer = Drawer::new(world.clone(), draws, device).map_err(failed)?;
+        (self.drawer, self.world) = (None, None);
+        let mut drawer = Drawer::new(&world, draws, device).map_err(failed)?;
         if let Some(shows) = &self.shows {
             drawer.set_order(shows.presenter.order());
         }
@@ -152,6 +154,7 @@ impl Page {
             "bytes": world.resident.bytes(),
             "level": level,
         });
+        self.world = Some(world);
         Ok(facts.to_string())
     }
 
@@ -167,10 +170,10 @@ impl Page {
             }
             "KeyZ" if down => self.control.pose.roll = 0.0,
             "Home" if down => {
-                if let Some(drawer) = &self.drawer {
+                if let Some(world) = &self.world {
                     let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
-                    self.control.target = tour::Subject::new(&drawer.world().scene).center();
-                    self.control.place(tour::still(&drawer.world().scene, view));
+                    self.control.target = tour::Subject::new(&world.scene).center();
+                    self.control.place(tour::still(&world.scene, view));
                 }
             }
             _ => return false,
@@ -217,7 +220,7 @@ impl Page {
 
     /// Flies to what shows at a pixel of the canvas; false where that is the sky.
     pub fn fly_to(&mut self, x: f64, y: f64) -> bool {
-        let Some(drawer) = &self.drawer else { return false };
+        let Some(world) = &self.world else { return false };
         let camera = self.control.pose.camera(self.size);
         let ray = camera.ray(&camera.basis(), x, y).normalize_or_zero();
         let eye = self.control.pose.eye;
@@ -225,7 +228,7 @@ impl Page {
             return false;
         }
         let repeats = [self.options.repeat.x, self.options.repeat.z];
-        let hit = exact::cast(&drawer.world().scene.levels[0].solid, repeats, eye, ray, 1e7);
+        let hit = exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, 1e7);
         if let Some(hit) = &hit {
             self.control.fly_to(ray, hit.t);
         }
@@ -256,8 +259,7 @@ impl Page {
 
     /// Lets `seconds` pass, draws and shows. Whether anything was drawn, as the view had changed.
     pub fn frame(&mut self, seconds: f64) -> Result<bool, JsValue> {
-        let Some(drawer) = &mut self.drawer else { return Ok(false) };
-        let world = drawer.world().clone();
+        let (Some(drawer), Some(world)) = (&mut self.drawer, &self.world) else { return Ok(false) };
         self.control.step(seconds, &Ground::new(&world.scene.levels[0].solid, self.options.repeat));
         let job = (self.control.pose, self.size, self.options);
         if let Some(stats) = drawer.figures().map_err(failed)? {
@@ -268,7 +270,7 @@ impl Page {
             return Ok(false);
         }
         let camera = self.control.pose.camera(self.size);
-        match drawer.draw(&camera, &self.options).map_err(failed)? {
+        match drawer.draw(&camera, None, &self.options).map_err(failed)? {
             Drawn::Here(frame) => {
                 self.stats = frame.stats.clone();
                 self.pixels = frame.color.concat();
@@ -362,8 +364,7 @@ impl Page {
 
     /// The same view by the CPU's kernels, RGBA.
     pub fn cpu_picture(&self) -> Result<Vec<u8>, JsValue> {
-        let Some(drawer) = &self.drawer else { return Ok(Vec::new()) };
-        let world = drawer.world();
+        let Some(world) = &self.world else { return Ok(Vec::new()) };
         let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
         let camera = self.control.pose.camera(self.size);
         let frame = cpu.render(&camera, &self.options, Outputs::default()).map_err(failed)?;

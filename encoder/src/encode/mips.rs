@@ -1,9 +1,7 @@
 //! The next coarser level: occupancy and colours.
 
-use rayon::prelude::*;
-
 use crate::model::srgb::Mean;
-use crate::{Columns, ColumnsBuilder, MipRule, Rgb, Run};
+use crate::{Columns, ColumnsBuilder, MipRule, Rgb, Run, parallel};
 
 /// The level above one with dimensions `dims`: each halved, rounded up.
 pub fn next_dims(dims: [u32; 3]) -> [u32; 3] {
@@ -132,14 +130,11 @@ pub fn run_colors(geometry: &Columns, exposed: &Columns, colors: &[Rgb]) -> Vec<
 
 /// Colours made column by column, in parallel by rows.
 pub(crate) fn rows(columns: &Columns, column: impl Fn(u32, u32, &mut Vec<Rgb>) + Sync) -> Vec<Rgb> {
-    let rows: Vec<Vec<Rgb>> = (0..columns.nz())
-        .into_par_iter()
-        .map(|z| {
-            let mut colors = Vec::new();
-            (0..columns.nx()).for_each(|x| column(x, z, &mut colors));
-            colors
-        })
-        .collect();
+    let rows: Vec<Vec<Rgb>> = parallel::map(columns.nz() as usize, |z| {
+        let mut colors = Vec::new();
+        (0..columns.nx()).for_each(|x| column(x, z as u32, &mut colors));
+        colors
+    });
     rows.concat()
 }
 

@@ -2,10 +2,8 @@
 
 use std::ops::Range;
 
-use rayon::prelude::*;
-
 use crate::model::filled::{filled, starts};
-use crate::{Error, Result, Run};
+use crate::{Error, Result, Run, parallel};
 
 /// The run lists of `nx × nz` columns, each `ny` high. Column `(x, z)` is number `z·nx + x`; its runs ascend, do
 /// not overlap and do not touch (the encoding is maximal, so equal occupancy gives equal runs).
@@ -62,17 +60,15 @@ impl Columns {
     ) -> Result<Columns> {
         // Enough columns a part that handing it out costs nothing beside making it.
         let rows = (8192 / nx.max(1)).max(1);
-        let parts: Vec<Columns> = (0..nz.div_ceil(rows))
-            .into_par_iter()
-            .map(|part| {
-                let z = part * rows..nz.min(part.saturating_add(1).saturating_mul(rows));
-                let mut out = ColumnsBuilder::new(nx, ny, z.end - z.start);
-                for z in z {
-                    row(z, &mut out)?;
-                }
-                Ok(out.finish())
-            })
-            .collect::<Result<_>>()?;
+        let parts: Vec<Columns> = parallel::try_map(nz.div_ceil(rows) as usize, |part| {
+            let part = part as u32;
+            let z = part * rows..nz.min(part.saturating_add(1).saturating_mul(rows));
+            let mut out = ColumnsBuilder::new(nx, ny, z.end - z.start);
+            for z in z {
+                row(z, &mut out)?;
+            }
+            Ok(out.finish())
+        })?;
         Columns::concat([nx, ny, nz], &parts)
     }
 

@@ -1,9 +1,10 @@
 //! Large tables, written by all threads.
 
-use bytemuck::Zeroable;
-use rayon::prelude::*;
+use std::sync::Mutex;
 
-use crate::{Error, Result};
+use bytemuck::Zeroable;
+
+use crate::{Error, Result, parallel};
 
 /// A table of parts of these lengths, each written by one call of `fill(part, out)`, in parallel. Memory is touched first by
 /// the thread that writes it; what `fill` leaves alone is zero.
@@ -18,10 +19,11 @@ pub fn filled<T: Zeroable + Send>(lens: &[usize], what: &str, fill: impl Fn(usiz
     let mut parts = Vec::with_capacity(lens.len());
     for &len in lens {
         let (part, after) = rest.split_at_mut(len);
-        parts.push(part);
+        parts.push(Mutex::new(part));
         rest = after;
     }
-    parts.into_par_iter().enumerate().for_each(|(i, part)| fill(i, part));
+    parallel::each(parts.len(), &|i| fill(i, &mut parts[i].lock().expect("one call has it")));
+    drop(parts);
     Ok(values)
 }
 

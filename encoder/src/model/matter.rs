@@ -10,7 +10,7 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
-use crate::{Columns, Error, Result, Rgb};
+use crate::{Columns, Error, Result, Rgb, parallel};
 
 /// Codes of a class.
 pub const STEPS: u16 = 8;
@@ -244,17 +244,15 @@ impl Matter {
         row: impl Fn(u32, &mut MatterBuilder) -> Result<()> + Sync,
     ) -> Result<Matter> {
         let rows = (8192 / nx.max(1)).max(1);
-        let parts: Vec<Matter> = (0..nz.div_ceil(rows))
-            .into_par_iter()
-            .map(|part| {
-                let zs = part * rows..nz.min(part.saturating_add(1).saturating_mul(rows));
-                let mut out = MatterBuilder::new(nx, ny, zs.len() as u32);
-                for z in zs {
-                    row(z, &mut out)?;
-                }
-                Ok(out.finish())
-            })
-            .collect::<Result<_>>()?;
+        let parts: Vec<Matter> = parallel::try_map(nz.div_ceil(rows) as usize, |part| {
+            let part = part as u32;
+            let zs = part * rows..nz.min(part.saturating_add(1).saturating_mul(rows));
+            let mut out = MatterBuilder::new(nx, ny, zs.len() as u32);
+            for z in zs {
+                row(z, &mut out)?;
+            }
+            Ok(out.finish())
+        })?;
         Matter::concat([nx, ny, nz], &parts)
     }
 

@@ -17,6 +17,7 @@ use super::npy::{axes, plain_type};
 use super::volume::{Data, Facts, Sample, Stored, Volume, byte_len, with_sample};
 use super::{Dtype, ReadOptions, Spacing, Up, heightmap, world_dims};
 use crate::model::about::Kind;
+use crate::model::filled::filled;
 use crate::model::pieces::Pieces;
 use crate::store::scratch::{self, write_at};
 use crate::{About, Colors, Columns, Error, Input, Result, Run};
@@ -223,9 +224,13 @@ impl Source<'_> {
             let parts: Vec<Vec<u8>> =
                 row.par_iter().map(|xs| self.read(&[zs.clone(), xs.clone()])).collect::<Result<_>>()?;
             for (xs, bytes) in row.iter().zip(&parts) {
+                let width = (xs.end - xs.start) as usize;
                 let values: Vec<f32> = with_sample!(self.dtype, cfg!(target_endian = "big"), |read| {
                     let value = |b: &[u8]| read(b.try_into().expect("as long as a value")).to_f64() as f32;
-                    bytes.par_chunks_exact(size).map(value).collect()
+                    filled(&vec![width; bytes.len() / (width * size)], "heights", |row, out: &mut [f32]| {
+                        let row = bytes[row * width * size..].chunks_exact(size);
+                        out.iter_mut().zip(row).for_each(|(out, bytes)| *out = value(bytes));
+                    })?
                 });
                 out.put(xs.start as u32, zs.start as u32, (xs.end - xs.start) as u32, &values)?;
             }

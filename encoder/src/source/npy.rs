@@ -7,13 +7,12 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::path::Path;
 
-use rayon::prelude::*;
-
 use super::heights::{Heights, Words};
 use super::tiff::half;
 use super::volume::{Data, Sample, Stored, Volume, byte_len, with_sample};
 use super::{Dtype, ReadOptions, heightmap, world_dims};
 use crate::model::about::Kind;
+use crate::model::filled::filled;
 use crate::model::pieces::Pieces;
 use crate::store::scratch;
 use crate::{About, Error, Result};
@@ -227,7 +226,9 @@ impl<'a> Array<'a> {
                     let at = size * if z_fastest { x * height as usize + z } else { (z - from) * n + x };
                     read(bytes[at..at + size].try_into().expect("as long as a value")).to_f64() as f32
                 };
-                let rows: Vec<f32> = (z * n..end * n).into_par_iter().map(|i| value(i % n, i / n)).collect();
+                let rows = filled(&vec![n; end - z], "heights", |row, out: &mut [f32]| {
+                    out.iter_mut().enumerate().for_each(|(x, out)| *out = value(x, z + row));
+                })?;
                 out.put(0, z as u32, width as u32, &rows)?;
             }
         });

@@ -29,7 +29,7 @@ use crate::model::matter::{Classes, Matter, MatterBuilder, STEPS};
 use crate::model::pieces::Pieces;
 use crate::model::transfer::Transfer;
 use crate::store::scratch::{self, File, read_at};
-use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Rgb, Run};
+use crate::{About, Colors, Columns, ColumnsBuilder, Error, Input, Result, Rgb, Run, parallel};
 
 /// A dense volume as a file holds it.
 pub(super) struct Stored<'a> {
@@ -901,9 +901,14 @@ impl<'a> Volume<'a> {
             2 => {
                 let band = (vs.end - vs.start).div_ceil(rayon::current_num_threads() as u64 * 2).max(1);
                 let bands: Vec<u64> = (vs.start..vs.end).step_by(band as usize).collect();
-                bands.into_par_iter().try_for_each(|v| read(us.clone(), v..vs.end.min(v + band), ws.clone()))?;
+                let read = |i: usize| read(us.clone(), bands[i]..vs.end.min(bands[i] + band), ws.clone());
+                parallel::try_each(bands.len(), read)?;
             }
-            _ => ws.into_par_iter().try_for_each(|w| read(us.clone(), vs.clone(), w..w + 1))?,
+            _ => {
+                let at = |i: usize| ws.start + i as u64;
+                let n = (ws.end - ws.start) as usize;
+                parallel::try_each(n, |i| read(us.clone(), vs.clone(), at(i)..at(i) + 1))?;
+            }
         }
         let entries = ys.iter().zip(&found).map(|(&y, found)| {
             let [r, g, b, _] = found.load(Ordering::Relaxed).to_le_bytes();
@@ -963,7 +968,7 @@ impl<'a> Volume<'a> {
             }
             Ok(out.finish())
         };
-        let parts: Vec<Matter> = parts.par_iter().map(part).collect::<Result<_>>()?;
+        let parts: Vec<Matter> = parallel::try_map(parts.len(), |i| part(&parts[i]))?;
         Matter::concat([width as u32, ny, zs.len() as u32], &parts)
     }
 
@@ -972,61 +977,54 @@ impl<'a> Volume<'a> {
         let ny = self.dims[1];
         let (nu, nv) = ((us.end - us.start) as u32, (vs.end - vs.start) as u32);
         let words = nu.div_ceil(64) as usize;
+        let at = |i: usize| vs.start + i as u64;
         match self.axes[1] {
             // A row is a column.
             0 => {
-                let parts: Vec<Columns> = vs
-                    .into_par_iter()
-                    .map(|w| {
-                        let mut out = ColumnsBuilder::new(nu, ny, 1);
-                        let mut bits = vec![0u64; (ny as usize).div_ceil(64)];
-                        let mut buffer = Buffers::default();
-                        self.rows(0..self.along[0].n, us.clone(), w, &mut buffer, |_, row| {
-                            self.mask(row, &mut bits);
-                            push_bits(&bits, ny, &mut out);
-                            out.end_column();
-                        })?;
-                        Ok(out.finish())
-                    })
-                    .collect::<Result<_>>()?;
+                let parts: Vec<Columns> = parallel::try_map(nv as usize, |i| {
+                    let mut out = ColumnsBuilder::new(nu, ny, 1);
+                    let mut bits = vec![0u64; (ny as usize).div_ceil(64)];
+                    let mut buffer = Buffers::default();
+                    self.rows(0..self.along[0].n, us.clone(), at(i), &mut buffer, |_, row| {
+                        self.mask(row, &mut bits);
+                        push_bits(&bits, ny, &mut out);
+                        out.end_column();
+                    })?;
+                    Ok(out.finish())
+                })?;
                 Columns::concat([nu, ny, nv], &parts)
             }
             // A slice is a row of columns.
             1 => {
-                let parts: Vec<Columns> = vs
-                    .into_par_iter()
-                    .map(|w| {
-                        let mut layers = Layers::new(nu, 1);
-                        let mut bits = vec![0u64; words];
-                        let mut buffer = Buffers::default();
-                        self.rows(us.clone(), 0..u64::from(ny), w, &mut buffer, |y, row| {
-                            self.mask(row, &mut bits);
-                            layers.row(y as u32, 0, &bits);
-                        })?;
-                        Ok(layers.finish(ny, ny))
-                    })
-                    .collect::<Result<_>>()?;
+                let parts: Vec<Columns> = parallel::try_map(nv as usize, |i| {
+                    let mut layers = Layers::new(nu, 1);
+                    let mut bits = vec![0u64; words];
+                    let mut buffer = Buffers::default();
+                    self.rows(us.clone(), 0..u64::from(ny), at(i), &mut buffer, |y, row| {
+                        self.mask(row, &mut bits);
+                        layers.row(y as u32, 0, &bits);
+                    })?;
+                    Ok(layers.finish(ny, ny))
+                })?;
                 Columns::concat([nu, ny, nv], &parts)
             }
             // A slice is a layer of all columns.
             _ => {
                 let slabs = (rayon::current_num_threads() as u32 * 2).min(ny.div_ceil(32));
                 let cut = |slab: u32| (u64::from(slab) * u64::from(ny) / u64::from(slabs)) as u32;
-                let slabs: Vec<Columns> = (0..slabs)
-                    .into_par_iter()
-                    .map(|slab| {
-                        let mut layers = Layers::new(nu, nv);
-                        let mut bits = vec![0u64; words];
-                        let mut buffer = Buffers::default();
-                        for y in cut(slab)..cut(slab + 1) {
-                            self.rows(us.clone(), vs.clone(), y.into(), &mut buffer, |v, row| {
-                                self.mask(row, &mut bits);
-                                layers.row(y, (v - vs.start) as u32, &bits);
-                            })?;
-                        }
-                        Ok(layers.finish(cut(slab + 1), ny))
-                    })
-                    .collect::<Result<_>>()?;
+                let slabs: Vec<Columns> = parallel::try_map(slabs as usize, |slab| {
+                    let slab = slab as u32;
+                    let mut layers = Layers::new(nu, nv);
+                    let mut bits = vec![0u64; words];
+                    let mut buffer = Buffers::default();
+                    for y in cut(slab)..cut(slab + 1) {
+                        self.rows(us.clone(), vs.clone(), y.into(), &mut buffer, |v, row| {
+                            self.mask(row, &mut bits);
+                            layers.row(y, (v - vs.start) as u32, &bits);
+                        })?;
+                    }
+                    Ok(layers.finish(cut(slab + 1), ny))
+                })?;
                 Columns::try_from_rows([nu, ny, nv], |v, out| {
                     for u in 0..nu {
                         // A run that goes on in the next slab touches it, and is merged.
@@ -1114,24 +1112,21 @@ impl Pieces for Volume<'_> {
             return Ok(None);
         }
         let [nu, nv, nw] = [0, 1, 2].map(|f| self.along[f].n);
-        let slices: Vec<Vec<f32>> = (0..nw)
-            .into_par_iter()
-            .map(|w| {
-                let (mut slice, mut meant) = (Vec::with_capacity((nu * nv) as usize), Vec::new());
-                self.rows(0..nu, 0..nv, w, &mut Buffers::default(), |_, row| {
-                    let values = match row {
-                        Row::Meant(values) => values,
-                        Row::Stored(bytes) => {
-                            meant.clear();
-                            (self.decode)(bytes, &mut meant);
-                            &meant
-                        }
-                    };
-                    slice.extend(values.iter().map(|&v| v as f32));
-                })?;
-                Ok(slice)
-            })
-            .collect::<Result<_>>()?;
+        let slices: Vec<Vec<f32>> = parallel::try_map(nw as usize, |w| {
+            let (mut slice, mut meant) = (Vec::with_capacity((nu * nv) as usize), Vec::new());
+            self.rows(0..nu, 0..nv, w as u64, &mut Buffers::default(), |_, row| {
+                let values = match row {
+                    Row::Meant(values) => values,
+                    Row::Stored(bytes) => {
+                        meant.clear();
+                        (self.decode)(bytes, &mut meant);
+                        &meant
+                    }
+                };
+                slice.extend(values.iter().map(|&v| v as f32));
+            })?;
+            Result::Ok(slice)
+        })?;
         let [nx, ny, _] = self.dims.map(|n| n as usize);
         let mut values = vec![f32::NAN; nx * ny * self.dims[2] as usize];
         // The file's place of a world's, along each axis.
@@ -1270,18 +1265,16 @@ fn range<T: Sample, const N: usize>(
     let len = data.len();
     let (slope, inter) = scale.unwrap_or((1.0, 0.0));
     let missing = missing.unwrap_or(f64::NAN);
-    let (a, b) = (0..len.div_ceil(piece))
-        .into_par_iter()
-        .map(|i| {
-            let mut buffer = Vec::new();
-            let bytes = data.read(i * piece, (len - i * piece).min(piece) as usize, &mut buffer)?;
-            let (values, _) = bytes.as_chunks::<N>();
-            Ok(values.iter().fold(NONE, |(low, high), &v| {
-                let v = read(v).to_f64();
-                if v == missing { (low, high) } else { (low.min(v), high.max(v)) }
-            }))
-        })
-        .try_reduce(|| NONE, |a, b| Ok((a.0.min(b.0), a.1.max(b.1))))?;
+    let ends: Vec<(f64, f64)> = parallel::try_map(len.div_ceil(piece) as usize, |i| {
+        let (mut buffer, at) = (Vec::new(), i as u64 * piece);
+        let bytes = data.read(at, (len - at).min(piece) as usize, &mut buffer)?;
+        let (values, _) = bytes.as_chunks::<N>();
+        Result::Ok(values.iter().fold(NONE, |(low, high), &v| {
+            let v = read(v).to_f64();
+            if v == missing { (low, high) } else { (low.min(v), high.max(v)) }
+        }))
+    })?;
+    let (a, b) = ends.into_iter().fold(NONE, |a, b| (a.0.min(b.0), a.1.max(b.1)));
     let (a, b) = (a * slope + inter, b * slope + inter);
     Ok((a.min(b), a.max(b)))
 }
