@@ -165,6 +165,10 @@ impl Paged {
         })
     }
 
+    pub fn set_patience(&mut self, patience: Patience) {
+        self.patience = patience;
+    }
+
     pub fn set_count(&mut self, count: bool) {
         self.count = count;
         #[cfg(feature = "gpu")]
