@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use planecast_encoder::encode::memory;
+use planecast_encoder::encode::open::Opened;
 use planecast_encoder::source::{ReadOptions, tiles};
 use planecast_encoder::{Scene, TileSource};
 
@@ -66,13 +67,29 @@ pub struct Tiles {
     pub source: Arc<dyn TileSource>,
     pub preview: Preview,
     /// Colours instead of its own.
-    tint: Option<Tint>,
+    pub tint: Option<Tint>,
 }
 
-fn tiles_of(source: Arc<dyn TileSource>, read: &ReadOptions) -> Result<Held> {
-    let tint = Tint::asked(read.ramp.as_deref(), &source.about())?;
-    let preview = Preview::new(&*source)?;
-    Ok(Held::Tiles(Tiles { source, preview, tint }))
+impl Tiles {
+    /// Opens a world so that it comes in tiles; an input that has none is encoded in memory first.
+    pub fn open(path: &FilePath, read: &ReadOptions) -> Result<Tiles> {
+        match tiles::open(path, read)? {
+            Some(source) => Tiles::of(source, read),
+            None => Tiles::of_file(planecast_encoder::cli::open(path, read, true)?, read),
+        }
+    }
+
+    fn of(source: Arc<dyn TileSource>, read: &ReadOptions) -> Result<Tiles> {
+        let tint = Tint::asked(read.ramp.as_deref(), &source.about())?;
+        let preview = Preview::new(&*source)?;
+        Ok(Tiles { source, preview, tint })
+    }
+
+    fn of_file(opened: Opened, read: &ReadOptions) -> Result<Tiles> {
+        // An input has the ramp's colours by now.
+        let read = if opened.encoded { &ReadOptions::default() } else { read };
+        Tiles::of(Arc::new(opened.file), read)
+    }
 }
 
 impl ResidencyArgs {
@@ -88,7 +105,7 @@ impl ResidencyArgs {
                 let what = format!("{}: is drawn in tiles alone; leave out --residency whole", path.display());
                 return Err(Error::Argument(what));
             }
-            return tiles_of(source, read);
+            return Ok(Held::Tiles(Tiles::of(source, read)?));
         }
         let opened = planecast_encoder::cli::open(path, read, true)?;
         let need = opened.file.scene_bytes_at_least().saturating_mul(READY);
@@ -109,9 +126,7 @@ impl ResidencyArgs {
                 "the world takes some {need} of memory, {room} are allowed: tiles are read as frames show them"
             ));
         }
-        // An input has the ramp's colours by now.
-        let read = if opened.encoded { &ReadOptions::default() } else { read };
-        tiles_of(Arc::new(opened.file), read)
+        Ok(Held::Tiles(Tiles::of_file(opened, read)?))
     }
 
     /// Opens the device that draws tiles.
