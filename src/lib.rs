@@ -76,7 +76,7 @@
 //! | [`cpu`], [`gpu`] | the stages, as twins |
 //! | [`render`] | which device draws: [`Renderer`] |
 //! | [`film`] | paths, tours, films |
-//! | [`measure`] | benches, the report of error against time, stability |
+//! | [`measure`] | benches, the report of error against time, whole and in tiles, stability |
 //! | [`view`] | the window, and what the page shares with it |
 //! | `cli` | the command line |
 //!

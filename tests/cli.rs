@@ -631,6 +631,41 @@ fn scenes_keep_what_they_were_made_of() {
     assert!(status == 1 && said.contains("byte 64: metadata: a section does not match its checksum"), "{said}");
 }
 
+#[cfg(feature = "report")]
+#[test]
+fn report_of_a_world_in_tiles_says_what_waiting_costs_and_what_not() {
+    let dir = workplace();
+    let said = succeeds(dir.path(), "report --stream hills.pcast -o out --quick --size 48x32 --device cpu");
+    assert!(said.starts_with("At 100 voxels per frame over 100 Mbit/s, 50 ms, with "), "{said}");
+    let plots = ["stream-error-time-100.svg", "stream-error-time-4.svg", "stream-memory.svg", "stream-velocity.svg"];
+    let tables = ["stream.csv", "stream.html", "stream.json", "stream.md"];
+    assert_eq!(names(&dir.path().join("out")), [plots, tables].concat());
+    let json = fs::read(dir.path().join("out/stream.json")).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    let rows = json["rows"].as_array().unwrap();
+    assert!(rows.len() == 16 && json["frames"] == 12 && json["scene"] == "hills.pcast", "{json}");
+    let whole = rows.iter().filter(|row| row["stream"] == "wait" && row["lod"] == 1.0);
+    assert!(whole.clone().count() > 0, "{json}");
+    for row in whole {
+        assert!(row["wrong_voxel_percent"] == 0.0 && row["debt_per_pixel"] == 0.0 && row["flip"] == 0.0, "{row}");
+    }
+    let page = fs::read_to_string(dir.path().join("out/stream.html")).unwrap();
+    assert!(page.contains(said.trim()) && !page.contains("<script"), "{page}");
+
+    let (code, text) = fails(dir.path(), "report -q --stream hills.pcast -o less --quick --memory 1M --device cpu");
+    assert!(code == 1 && text.contains("KiB are allowed") && text.ends_with("give more with --memory"), "{text}");
+    fs::write(dir.path().join("p.json"), r#"[{"t":0,"eye":[1,20,3],"yaw":0,"pitch":0}]"#).unwrap();
+    let (code, text) = fails(dir.path(), "report -q --stream hills.pcast -o still --path p.json");
+    assert!(code == 1 && text.starts_with("p.json: the eye stands still"), "{text}");
+    for line in ["report --stream --stability -o x", "report hills.pcast --memory 9M -o x", "report --stream -o x"] {
+        assert_eq!(planecast(dir.path(), line).status.code(), Some(2), "{line}");
+    }
+    for (flags, what) in [("--repeat x", "leave out --repeat"), ("--device exact", "exact: rays need")] {
+        let (code, text) = fails(dir.path(), &format!("report -q --stream hills.pcast -o x {flags}"));
+        assert!(code == 2 && text.contains(what), "{flags}: {text}");
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn limits_of_memory_end_in_words() {

@@ -383,7 +383,8 @@ def info(path: str | os.PathLike) -> dict[str, Any]:
 
 def report(scene: str | os.PathLike, folder: str | os.PathLike, **words: Any) -> str | None:
     """Measures error against time on a scene or an input, into a folder: report.html, .csv, .json, plots. quick=True, size=,
-    rounds=, fov=, device=, …: as ``planecast report --help`` has them; with budget_ms= or max_error=, what was chosen."""
+    rounds=, fov=, device=, …: as ``planecast report --help`` has them; with budget_ms= or max_error=, what was chosen. stream=True
+    measures a world in tiles, and gives its result in a sentence."""
     return _planecast.report(os.fspath(scene), os.fspath(folder), _words(words))
 
 

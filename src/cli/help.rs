@@ -55,7 +55,12 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("pick", "  planecast pick dem.pcast --from 10,200,10 --dir 0,-1,0"),
     ("demo", "  planecast demo\n  planecast demo -o folder"),
     ("bench", "  planecast bench --quick -o bench"),
-    ("report", "  planecast report dem.pcast -o report --quick\n  planecast report --stability -o stability"),
+    (
+        "report",
+        "  planecast report dem.pcast -o report --quick
+  planecast report --stream dem.pcast -o stream --quick
+  planecast report --stability -o stability",
+    ),
     ("completions", "  planecast completions bash >~/.local/share/bash-completion/completions/planecast"),
     ("world", "  planecast world north.pcast south.pcast -o land.pworld --across 1"),
     ("man", "  planecast man -o ~/.local/share/man/man1"),

@@ -19,6 +19,8 @@ use std::time::Instant;
 use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use glam::DVec3;
 use planecast_encoder::cli::{InputArgs, Made};
+#[cfg(feature = "report")]
+use planecast_encoder::encode::memory;
 use planecast_encoder::format::write::{keep_input, resolved};
 use planecast_encoder::inspect::info;
 use planecast_encoder::model::transfer::Transfer;
@@ -49,11 +51,15 @@ use crate::measure::bench::{
 use crate::measure::report;
 #[cfg(feature = "report")]
 use crate::measure::stability;
+#[cfg(feature = "report")]
+use crate::measure::stream::{self, flight::Flight};
 use crate::measure::viewshed;
 use crate::output::Picture;
 use crate::render::annotate::annotate;
 use crate::render::device::{Device, Renderer};
 use crate::render::scan;
+#[cfg(feature = "report")]
+use crate::world::residency::Tiles;
 use crate::world::tint::Tint;
 use crate::world::{is_plain, is_surface};
 use crate::{
@@ -331,6 +337,10 @@ pub struct BenchArgs {
 ///
 /// Leaves report.html, report.csv, report.json, plots (SVG) and pictures (PNG) in a folder. What is measured is kept there
 /// at once: a run that was stopped goes on when it is typed again.
+///
+/// With --stream, instead of flags, worlds that come in tiles: how much error and how much time a flight pays for little memory, a
+/// great velocity and a slow link, where its frames wait for their tiles and where they do not. Leaves stream.html, stream.md,
+/// stream.csv, stream.json, plots and pictures.
 #[cfg(feature = "report")]
 #[derive(Debug, Args)]
 pub struct ReportArgs {
@@ -340,16 +350,23 @@ pub struct ReportArgs {
     /// Instead of a scene, draw the catalogue of stiff and extreme cases: stability.json, .csv, .md and plots
     #[arg(long)]
     stability: bool,
+    /// Measure the scene as a world in tiles: error against time over memory, velocity, link and patience
+    #[arg(long, conflicts_with_all = ["stability", "rounds", "budget_ms", "max_error"])]
+    stream: bool,
+    /// With --stream: memory for tiles, as in 64M or 64M,1G [default: 25, 50, 100 and 200 % of what one view takes, with --quick
+    /// the last two]
+    #[arg(long, value_name = "SIZE[,SIZE]", value_delimiter = ',', value_parser = memory::parse, requires = "stream")]
+    memory: Vec<u64>,
     /// Folder for the report; made if it is not there
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Fewer configurations, poses and pixels: a minute or two
     #[arg(long)]
     quick: bool,
-    /// Look along the keyframes in this file [default: standing poses over the scene]
+    /// Look along the keyframes in this file [default: standing poses over the scene, with --stream a straight flight over it]
     #[arg(long, value_name = "P.json")]
     path: Option<PathBuf>,
-    /// Pictures' width and height, pixels [default: 640x480, with --quick 320x240]
+    /// Pictures' width and height, pixels [default: 640x480, with --quick or --stream 320x240]
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[u32; 2]>,
     /// Times that each configuration is timed at each pose [default: 5, with --quick 3]
@@ -1396,13 +1413,21 @@ impl ReportArgs {
         let Some(scene) = &self.scene else {
             return self.stability();
         };
-        let choice = self.choice(scene, &mut tell)?;
-        choice.map_or(Ok(()), |text| print(&(text + "\n")))
+        let outcome = self.outcome(scene, &mut tell)?;
+        outcome.map_or(Ok(()), |text| print(&(text + "\n")))
     }
 
-    /// What was chosen, if a choice was asked for.
-    fn choice(&self, scene: &FilePath, tell: &mut dyn FnMut(&str)) -> Result<Option<String>> {
+    /// What was chosen, if a choice was asked for; of a world in tiles the result.
+    fn outcome(&self, scene: &FilePath, tell: &mut dyn FnMut(&str)) -> Result<Option<String>> {
         let path = self.path.as_ref().map(|file| Path::read(file, self.fov)).transpose()?;
+        let base = Options {
+            view_distance: self.view_distance.unwrap_or(f64::INFINITY),
+            repeat: self.repeat.axes(),
+            ..Options::default()
+        };
+        if self.stream {
+            return self.streamed(scene, path, base, tell).map(Some);
+        }
         let job = report::Job {
             folder: &self.output,
             quick: self.quick,
@@ -1411,15 +1436,34 @@ impl ReportArgs {
             rounds: self.rounds,
             fov: self.fov,
             device: self.device,
-            base: Options {
-                view_distance: self.view_distance.unwrap_or(f64::INFINITY),
-                repeat: self.repeat.axes(),
-                ..Options::default()
-            },
+            base,
             budget_ms: self.budget_ms,
             max_error: self.max_error,
         };
         report::report(scene, &self.input.read, &job, tell)
+    }
+
+    fn streamed(
+        &self,
+        scene: &FilePath,
+        path: Option<Path>,
+        options: Options,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<String> {
+        let Tiles { source, preview, tint, .. } = residency::tiles(scene, &self.input.read)?;
+        let path = path.unwrap_or_else(|| preview.path(&tour::across(&preview.scene, self.fov)));
+        let flight =
+            Flight::new(path).map_err(|what| FileError::format(self.path.as_deref().unwrap_or(scene), what))?;
+        let name = scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let job = stream::Job {
+            folder: &self.output,
+            quick: self.quick,
+            size: self.size,
+            device: self.device,
+            options,
+            memories: &self.memory,
+        };
+        stream::report(&stream::run::World { name, source, tint }, &flight, &job, tell)
     }
 
     fn stability(&self) -> Result<()> {

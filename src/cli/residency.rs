@@ -54,6 +54,18 @@ pub enum Loaded {
     Tiles(Tiles),
 }
 
+/// Opens a world so that it comes in tiles; an input that has none is encoded in memory first.
+#[cfg(feature = "report")]
+pub fn tiles(path: &FilePath, read: &ReadOptions) -> Result<Tiles> {
+    match planecast_encoder::source::tiles::open(path, read)? {
+        Some(source) => Tiles::new(path, source, read),
+        None => {
+            let opened = planecast_encoder::cli::open(path, read, true)?;
+            Tiles::of_file(path, opened.file, opened.encoded, read)
+        }
+    }
+}
+
 impl ResidencyArgs {
     /// What was asked for; frames wait as `usual` has it where nothing was.
     pub fn options(&self, usual: Patience) -> ResidencyOptions {

@@ -112,11 +112,11 @@ pub fn flight(words: &[String], path: Option<&str>, scene: &Scene) -> Result<Fli
     Ok(Flight { cameras, range, fps: args.fps, encoder: args.encoder, options, device, kernel })
 }
 
-/// Makes the report of a scene in a folder, told by these words; what was chosen, if they ask for a choice. `tell` hears of the
-/// progress.
+/// Makes the report of a scene in a folder, told by these words; what was chosen, if they ask for a choice, or with `--stream` the
+/// result. `tell` hears of the progress.
 ///
 /// # Errors
-/// As [`encoding`], and those of [`crate::measure::report::report`].
+/// As [`encoding`], and those of [`crate::measure::report::report`] and [`crate::measure::stream::report`].
 #[cfg(feature = "report")]
 pub fn report(
     scene: &std::path::Path,
@@ -128,7 +128,7 @@ pub fn report(
         unreachable!("the command is report");
     };
     args.output = folder.to_owned();
-    args.choice(scene, tell)
+    args.outcome(scene, tell)
 }
 
 /// A flag's name as it is typed, for a word of another language.

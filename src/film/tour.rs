@@ -238,6 +238,8 @@ struct Ground {
     tops: Vec<f64>,
     dims: DVec3,
     repeat: Repeat,
+    /// Voxels kept between the eye and the ground below.
+    clearance: f64,
 }
 
 impl Ground {
@@ -257,7 +259,8 @@ impl Ground {
             }
         }
         let dims = DVec3::new(nx.into(), ny.into(), nz.into());
-        let mut ground = Ground { cell, cells, near: Vec::new(), tops, dims, repeat };
+        let clearance = (0.035 * dims.x.min(dims.z)).max(2.0);
+        let mut ground = Ground { cell, cells, near: Vec::new(), tops, dims, repeat, clearance };
         ground.near = (0..cells[0] * cells[1])
             .map(|i| {
                 let (x, z) = ((i % cells[0]) as i64, (i / cells[0]) as i64);
@@ -287,11 +290,6 @@ impl Ground {
         let x = cell(wrap(x, self.dims.x, self.repeat.x));
         let z = cell(wrap(z, self.dims.z, self.repeat.z));
         self.index(x, z).map_or(0.0, |i| self.near[i])
-    }
-
-    /// Voxels kept between the eye and the ground below.
-    fn clearance(&self) -> f64 {
-        (0.035 * self.dims.x.min(self.dims.z)).max(2.0)
     }
 
     /// Where the relief is: the centroid of the cells above the mean height, weighted by the square of what they rise.
@@ -354,17 +352,10 @@ fn over(ground: &Ground, fov: f64, still: Option<Pose>) -> Path {
     let needed: Vec<f64> = (0..SAMPLES)
         .map(|i| {
             let at = place(i as f64 / SAMPLES as f64);
-            ground.near(at.x, at.y) + ground.clearance()
+            ground.near(at.x, at.y) + ground.clearance
         })
         .collect();
-    let half = SAMPLES / 16;
-    let around = |i: usize, half: usize| (i + SAMPLES - half..=i + SAMPLES + half).map(|j| j % SAMPLES);
-    let widest: Vec<f64> = (0..SAMPLES).map(|i| around(i, half).map(|j| needed[j]).fold(0.0, f64::max)).collect();
-    // Two boxes of half the length make a smoother curve than one, and reach as far.
-    let smooth = |v: &[f64]| -> Vec<f64> {
-        (0..SAMPLES).map(|i| around(i, half / 2).map(|j| v[j]).sum::<f64>() / (half / 2 * 2 + 1) as f64).collect()
-    };
-    let heights = smooth(&smooth(&widest));
+    let heights = smoothed(&needed, SAMPLES / 16, |i| i.rem_euclid(SAMPLES as isize) as usize);
 
     let mean = ground.tops.iter().sum::<f64>() / ground.tops.len() as f64;
     closed(|u| {
@@ -375,6 +366,50 @@ fn over(ground: &Ground, fov: f64, still: Option<Pose>) -> Path {
         let pose = Pose { pitch: pose.pitch.clamp(-35.0, -5.0), ..pose };
         still.map_or(pose, |still| between(pose, still, near_ends(u)))
     })
+}
+
+/// Heights of a line's points, none lower than is needed there: the greatest that is needed within `half` points, smoothed. `point`
+/// says which point stands before the first and past the last.
+fn smoothed(needed: &[f64], half: usize, point: impl Fn(isize) -> usize) -> Vec<f64> {
+    let around = |i: usize, half: usize| {
+        let (i, half) = (i as isize, half as isize);
+        (i - half..=i + half).map(&point)
+    };
+    let all = 0..needed.len();
+    let widest: Vec<f64> = all.clone().map(|i| around(i, half).map(|j| needed[j]).fold(0.0, f64::max)).collect();
+    // Two boxes of half the length make a smoother curve than one, and reach as far.
+    let smooth = |v: &[f64]| -> Vec<f64> {
+        all.clone().map(|i| around(i, half / 2).map(|j| v[j]).sum::<f64>() / (half / 2 * 2 + 1) as f64).collect()
+    };
+    smooth(&smooth(&widest))
+}
+
+/// A straight way over the middle of a scene, along its longer side from edge to edge in [`SECONDS`], looking ahead and a little
+/// down. It is lower than a tour: what is nearest takes the finest level.
+pub fn across(scene: &Scene, fov: f64) -> Path {
+    let mut ground = Ground::new(&scene.levels[0].solid, Repeat::default());
+    ground.clearance = (0.01 * ground.dims.x.min(ground.dims.z)).max(2.0);
+    let center = ground.center();
+    let along_x = ground.dims.x >= ground.dims.z;
+    let place = |i: usize| {
+        let part = i as f64 / SAMPLES as f64;
+        if along_x { DVec2::new(part * ground.dims.x, center.y) } else { DVec2::new(center.x, part * ground.dims.z) }
+    };
+    let needed: Vec<f64> = (0..=SAMPLES)
+        .map(|i| {
+            let at = place(i);
+            ground.near(at.x, at.y) + ground.clearance
+        })
+        .collect();
+    let heights = smoothed(&needed, SAMPLES / 32, |i| i.clamp(0, SAMPLES as isize) as usize);
+    let keyframes = (0..=KEYFRAMES).map(|k| {
+        let i = k * SAMPLES / KEYFRAMES;
+        let at = place(i);
+        let yaw = if along_x { 90.0 } else { 180.0 };
+        let pose = Pose { eye: DVec3::new(at.x, heights[i], at.y), yaw, pitch: -10.0, roll: 0.0, fov };
+        Keyframe { t: k as f64 / KEYFRAMES as f64 * SECONDS, pose }
+    });
+    lift(Path::new(keyframes.collect()).expect("keyframes on a line are finite and in order"), &ground)
 }
 
 /// A loop around an object.
@@ -416,7 +451,7 @@ fn deficit(path: &Path, ground: &Ground) -> f64 {
     let keys = path.keyframes();
     let length: f64 = keys.windows(2).map(|k| (k[1].pose.eye - k[0].pose.eye).length()).sum();
     let looks = (4.0 * length / f64::from(ground.cell)).clamp(1000.0, 200_000.0) as usize;
-    let floor = ground.clearance() / 2.0;
+    let floor = ground.clearance / 2.0;
     path.poses(looks).iter().map(|p| ground.near(p.eye.x, p.eye.z) + floor - p.eye.y).fold(f64::NEG_INFINITY, f64::max)
 }
 
@@ -574,6 +609,27 @@ mod tests {
             let expected = if dims.x > 100.0 { FILLED_BY_TERRAIN } else { FILLED_BY_OBJECT };
             assert!((filled - expected).abs() < 0.02, "{filled} of {expected}");
             assert!((ends[0] + ends[1]).abs() < 0.02 && (ends[2] + ends[3]).abs() < 0.02, "{ends:?}");
+        }
+    }
+
+    #[test]
+    fn a_way_across_is_straight_and_over_all_that_stands_there() {
+        let spiked = |nx, nz| terrain(nx, 90, nz, |x, z| if (x + z) % 37 == 0 { 80 } else { 5 });
+        for columns in [spiked(300, 90), spiked(90, 300), terrain(1, 1, 1, |_, _| 1), Columns::empty(50, 30, 40)] {
+            let scene = scene(columns);
+            let path = across(&scene, 60.0);
+            let (columns, poses) = (&scene.levels[0].solid, path.poses(200));
+            let (first, last) = (poses[0].eye, poses[199].eye);
+            let forward = poses[0].camera([4, 3]).basis().forward;
+            assert!((last - first).normalize().dot(forward) > 0.9, "{first} {last}");
+            assert!(
+                poses
+                    .iter()
+                    .all(|p| (p.yaw - poses[0].yaw).abs() < 1e-9 && (p.eye - first).cross(last - first).y.abs() < 1e-6)
+            );
+            let [nx, _, nz] = columns.dims().map(f64::from);
+            assert!(((last - first).x.hypot((last - first).z) - nx.max(nz)).abs() < 1e-6);
+            assert!(least_clearance(columns, &path, Repeat::default()) >= 1.0);
         }
     }
 

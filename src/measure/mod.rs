@@ -1,5 +1,5 @@
-//! What is measured of the renderer, and how it is shown: benches, the report of error against time, stability. Not here: the
-//! stages themselves.
+//! What is measured of the renderer, and how it is shown: benches, the report of error against time, the same of worlds in tiles,
+//! stability. Not here: the stages themselves.
 
 #[cfg(feature = "report")]
 pub mod bench;
@@ -18,5 +18,7 @@ pub mod plot;
 pub mod report;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod stability;
+#[cfg(feature = "report")]
+pub mod stream;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod viewshed;

@@ -51,6 +51,24 @@ impl Row {
     }
 }
 
+impl Table {
+    /// The same in Markdown; the caption comes first.
+    pub fn markdown(&self) -> String {
+        let line = |cells: &[String]| {
+            let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+            format!("| {} |\n", cells.join(" | "))
+        };
+        let mut text = if self.caption.is_empty() { String::new() } else { format!("{}\n\n", self.caption) };
+        text += &line(&self.head);
+        text += &format!("|{}\n", "---|".repeat(self.head.len()));
+        self.rows.iter().for_each(|row| match row.mark {
+            Mark::Strong => text += &line(&row.cells.iter().map(|cell| format!("**{cell}**")).collect::<Vec<_>>()),
+            Mark::Plain | Mark::Quoted => text += &line(&row.cells),
+        });
+        text
+    }
+}
+
 const STYLE: &str = "\
 body{font:15px/1.5 system-ui,sans-serif;color:#1c2430;background:#fff;max-width:1080px;margin:2em auto;padding:0 1em}
 h1{font-size:1.6em}h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid #d8dee6}h3{font-size:1.05em}
@@ -186,6 +204,15 @@ mod tests {
             head: vec!["name".into(), "ms".into()],
             rows: vec![Row::new(["<b>", "1.5"]), Row::marked(Mark::Quoted, ["paper", "−2 ms"])],
         });
+        assert_eq!(
+            Table {
+                caption: "x > y".into(),
+                head: vec!["name".into(), "a | b".into()],
+                rows: vec![Row::new(["c", "1"]), Row::marked(Mark::Strong, ["d", "2"])],
+            }
+            .markdown(),
+            "x > y\n\n| name | a \\| b |\n|---|---|\n| c | 1 |\n| **d** | **2** |\n"
+        );
         page.svg("<?xml version=\"1.0\"?>\n<svg width=\"1\"></svg>", "plot");
         page.pictures(&[(b"\x89PNG", "left \"right\"")]);
         let html = page.finish();

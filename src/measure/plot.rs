@@ -46,8 +46,18 @@ pub struct Scatter {
     pub x: Axis,
     pub y: Axis,
     pub groups: Vec<Group>,
-    /// Whether to mark the points than which none is better on both axes, over all groups that are not quoted.
-    pub front: bool,
+    pub front: Front,
+}
+
+/// Of which points those are marked than which none is better on both axes. Points that are quoted are never among them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Front {
+    #[default]
+    None,
+    /// Of all together.
+    OfAll,
+    /// Of each group by itself: groups are conditions, and one is no choice over another.
+    OfEach,
 }
 
 /// Points of one colour.
@@ -339,7 +349,7 @@ impl Scatter {
         let color = |g: usize| COLORS[g % COLORS.len()];
         let mut legend: Vec<_> =
             self.groups.iter().enumerate().map(|(g, group)| (&*group.name, color(g), group.quoted)).collect();
-        if self.front {
+        if self.front != Front::None {
             legend.push(("Pareto front", FRONT, false));
         }
         // (group, point) of all that are drawn.
@@ -348,21 +358,32 @@ impl Scatter {
             .filter(|(_, p)| p.x.is_finite() && p.y.is_finite())
             .collect();
         let own: Vec<usize> = (0..all.len()).filter(|&i| !self.groups[all[i].0].quoted).collect();
-        let front: Vec<usize> = if self.front {
+        let front_of = |own: Vec<usize>| -> Vec<usize> {
             let at: Vec<[f64; 2]> = own.iter().map(|&i| [all[i].1.x, all[i].1.y]).collect();
             pareto(&at).into_iter().map(|i| own[i]).collect()
-        } else {
-            Vec::new()
         };
+        let of_group = |g: usize| own.iter().copied().filter(|&i| all[i].0 == g).collect();
+        let fronts: Vec<Vec<usize>> = match self.front {
+            Front::None => Vec::new(),
+            Front::OfAll => vec![front_of(own)],
+            Front::OfEach => (0..self.groups.len()).map(|g| front_of(of_group(g))).collect(),
+        };
+        let front = fronts.concat();
         svg(620, &self.title, &legend, |area| {
             let mut chart = chart(area, (x, &self.x.label), (y, &self.y.label));
-            let steps = front.windows(2).flat_map(|w| {
-                let (a, b) = (all[w[0]].1, all[w[1]].1);
-                [(a.x, a.y), (b.x, a.y), (b.x, b.y)]
-            });
-            chart
-                .draw_series([PathElement::new(steps.collect::<Vec<_>>(), FRONT.mix(0.6).stroke_width(2))])
-                .expect(INFALLIBLE);
+            for front in &fronts {
+                let steps = front.windows(2).flat_map(|w| {
+                    let (a, b) = (all[w[0]].1, all[w[1]].1);
+                    [(a.x, a.y), (b.x, a.y), (b.x, b.y)]
+                });
+                let ink = match (self.front, front.first()) {
+                    (Front::OfEach, Some(&i)) => color(all[i].0),
+                    _ => FRONT,
+                };
+                chart
+                    .draw_series([PathElement::new(steps.collect::<Vec<_>>(), ink.mix(0.6).stroke_width(2))])
+                    .expect(INFALLIBLE);
+            }
             for &(g, p) in &all {
                 if let Some([lo, hi]) = p.spread.filter(|s| s.iter().all(|v| v.is_finite())) {
                     let line = PathElement::new(vec![(lo, p.y), (hi, p.y)], color(g).mix(0.35));
@@ -593,11 +614,17 @@ mod tests {
                 group("cpu", false, vec![point(1.0, 9.0, "fast"), point(5.0, 0.0, "best"), point(6.0, 9.0, "poor")]),
                 group("paper", true, vec![point(2.0, 1.0, "theirs")]),
             ],
-            front: true,
+            front: Front::OfAll,
         };
         let drawn = scatter.svg();
         // Four points, two rings.
         assert_eq!(drawn.matches("<circle").count(), 6, "{drawn}");
+        let mut apart = scatter.clone();
+        apart.groups.insert(1, group("gpu", false, vec![point(7.0, 9.0, "slow")]));
+        for (front, circles) in [(Front::None, 5), (Front::OfAll, 7), (Front::OfEach, 8)] {
+            apart.front = front;
+            assert_eq!(apart.svg().matches("<circle").count(), circles, "{front:?}");
+        }
         for part in ["a &lt; b", "fast", "best", "poor", "theirs", "paper (quoted)", "Pareto front"] {
             assert!(drawn.contains(part), "{part}");
         }

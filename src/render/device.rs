@@ -183,6 +183,13 @@ impl Renderer {
         }
     }
 
+    /// How long frames wait for their tiles from now on. A whole world has none to wait for.
+    pub fn set_patience(&mut self, patience: Patience) {
+        if let Backend::Paged(paged) = &mut self.backend {
+            paged.set_patience(patience);
+        }
+    }
+
     /// Whether frames have depths; without them the GPU has half as much to read back. The CPU makes them in any case.
     pub fn set_depth(&mut self, depth: bool) {
         match &mut self.backend {

@@ -38,6 +38,12 @@ struct Shared {
     ready: Condvar,
 }
 
+/// Threads that bring tiles, and so how many tiles are on their way at once.
+pub fn threads() -> usize {
+    // One is left for the frame, and files that answer late keep a few waiting.
+    std::thread::available_parallelism().map_or(2, |n| n.get().saturating_sub(1)).clamp(2, 16)
+}
+
 /// Brings tiles of a source. Its threads begin with the first that is asked for.
 pub struct Fetcher {
     shared: Arc<Shared>,
@@ -55,9 +61,7 @@ impl Fetcher {
         if std::mem::replace(&mut self.started, true) {
             return;
         }
-        // One is left for the frame, and files that answer late keep a few waiting.
-        let n = std::thread::available_parallelism().map_or(2, |n| n.get().saturating_sub(1)).clamp(2, 16);
-        for _ in 0..n {
+        for _ in 0..threads() {
             let shared = Arc::clone(&self.shared);
             std::thread::spawn(move || work(&shared));
         }

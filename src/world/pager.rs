@@ -63,6 +63,16 @@ pub enum Patience {
     Deadline(f64),
 }
 
+impl std::fmt::Display for Patience {
+    /// As `--stream` takes it.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Patience::Wait => f.write_str("wait"),
+            Patience::Deadline(ms) => write!(f, "deadline:{ms}"),
+        }
+    }
+}
+
 /// What stands in a slot.
 #[derive(Clone, Debug)]
 struct Slot {

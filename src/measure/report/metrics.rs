@@ -90,8 +90,8 @@ impl Truth {
             depth_relative: spread(&mut relative),
             mse: mse(&frame.color, &self.color),
             ssim: ssim(&frame.color, &self.color, frame.width as usize),
-            flip: mean(&flip(&image, &self.flip)),
-            flip_exact: mean(&flip(&image, &self.flip_exact)),
+            flip: image.mean(&self.flip),
+            flip_exact: image.mean(&self.flip_exact),
         }
     }
 
@@ -106,7 +106,7 @@ fn mean(values: &[f32]) -> f64 {
 }
 
 /// Median, 99th percentile and greatest; 0 of nothing.
-fn spread(values: &mut [f64]) -> [f64; 3] {
+pub(crate) fn spread(values: &mut [f64]) -> [f64; 3] {
     values.sort_unstable_by(f64::total_cmp);
     [0.5, 0.99, 1.0].map(|q| match values.len() {
         0 => 0.0,
@@ -214,7 +214,7 @@ fn ssim(a: &[[u8; 4]], b: &[[u8; 4]], width: usize) -> f64 {
 const PIXELS_PER_DEGREE: f32 = 67.020_65;
 
 /// A picture as FLIP compares it.
-struct FlipImage {
+pub(crate) struct FlipImage {
     width: usize,
     /// L*a*b* of what the eye resolves, a* and b* scaled by lightness (Hunt).
     lab: Vec<Vec3>,
@@ -266,7 +266,7 @@ fn hyab(a: Vec3, b: Vec3) -> f32 {
 }
 
 impl FlipImage {
-    fn new(color: &[[u8; 4]], width: usize) -> FlipImage {
+    pub(crate) fn new(color: &[[u8; 4]], width: usize) -> FlipImage {
         let ppd = PIXELS_PER_DEGREE;
         let pi2 = std::f32::consts::PI.powi(2);
         let image: Vec<Vec3> = color.par_iter().map(|&c| opponents(linear(c))).collect();
@@ -315,6 +315,11 @@ impl FlipImage {
         let features = strength(&edge).into_iter().zip(strength(&point)).map(|(e, p)| [e, p]).collect();
         FlipImage { width, lab, features }
     }
+
+    /// Mean FLIP between two pictures of one size, 0 to 1.
+    pub(crate) fn mean(&self, other: &FlipImage) -> f64 {
+        mean(&flip(self, other))
+    }
 }
 
 /// FLIP of each pixel. Andersson et al., *FLIP: A Difference Evaluator for Alternating Images*, 2020.
@@ -348,7 +353,7 @@ mod tests {
     }
 
     fn flip_of(a: &[[u8; 4]], b: &[[u8; 4]]) -> f64 {
-        mean(&flip(&FlipImage::new(a, 64), &FlipImage::new(b, 64)))
+        FlipImage::new(a, 64).mean(&FlipImage::new(b, 64))
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::frame::picture::{Frame, StageTimes};
 use crate::frame::preset::Preset;
 use crate::measure::machine::Machine;
 use crate::measure::page::{Mark, Page, Row as TableRow, Table};
-use crate::measure::plot::{Axis, BarRow, Bars, Group, Lines, Point, Scatter, Series, pareto};
+use crate::measure::plot::{Axis, BarRow, Bars, Front, Group, Lines, Point, Scatter, Series, pareto};
 use crate::{Options, output};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -292,7 +292,7 @@ fn scatter(rows: &[Row], title: &str, label: &str, figure: &dyn Fn(&Row) -> f64)
         x: Axis::log("milliseconds a frame, median"),
         y: Axis::log(label),
         groups,
-        front: true,
+        front: Front::OfAll,
     };
     scatter.svg()
 }
