@@ -155,6 +155,17 @@ fn auto_says_nothing_but_which_device_draws_and_what_is_made() {
 }
 
 #[test]
+fn info_tells_of_a_world_of_sheets() {
+    let dir = workplace();
+    succeeds(dir.path(), "encode procedural:rocks?size=256&seed=3 -o a.pcast -q");
+    succeeds(dir.path(), "world a.pcast a.pcast -o w.pworld");
+    let said = succeeds(dir.path(), "info w.pworld");
+    assert!(said.contains("world of sheets") && said.contains("512 × 256 × 256 voxels"), "{said}");
+    let json: serde_json::Value = serde_json::from_str(&succeeds(dir.path(), "info w.pworld --json")).unwrap();
+    assert_eq!(json["dims"], serde_json::json!([512, 256, 256]), "{json}");
+}
+
+#[test]
 fn pick_prints_one_json_object() {
     let dir = workplace();
     assert_eq!(

@@ -19,7 +19,7 @@ use crate::inspect::info;
 use crate::inspect::verify;
 use crate::inspect::verify::Depth;
 use crate::model::pieces::{Grey, Pieces, named};
-use crate::source::{self, ReadOptions};
+use crate::source::{self, ReadOptions, tiles};
 use crate::store::guard;
 use crate::store::remote::{self, Here, Output};
 use crate::{BuildOptions, ColorMode, Encoding, Error, Features, MipRule, PcastFile, Result, Scene, format, say};
@@ -649,6 +649,12 @@ pub struct InfoArgs {
 
 impl InfoArgs {
     pub fn run(&self) -> Result<()> {
+        // Of a world of sheets, which no file holds as a whole.
+        let sheets = remote::shown(&self.scene).extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld"));
+        if sheets && let Some(world) = tiles::open(&self.scene, &self.input.read)? {
+            let info = info::WorldInfo::of(&*world);
+            return print(&if self.json { json(&info) } else { info.to_string() });
+        }
         let info = info::info(&open(&self.scene, &self.input.read, false)?.file)?;
         print(&if self.json { json(&info) } else { info.to_string() })
     }

@@ -802,12 +802,17 @@ impl App {
     fn command(&self, size: [u32; 2]) -> String {
         let scene = self.scene();
         let flags = self.draws.options(&self.options).flags();
+        let draws = match (self.draws, self.world.as_deref()) {
+            // Tiles are drawn by one kernel, which is not asked for.
+            (Draws::Gpu(_), Some(Held::Tiles(_))) => "--device gpu".to_owned(),
+            (draws, _) => draws.flags(),
+        };
         let text = format!(
             "planecast render {scene} -o view.png {} --size {}x{} {} {flags}",
             pose_flags(&self.control.pose),
             size[0],
             size[1],
-            self.draws.flags()
+            draws
         );
         text.trim_end().to_owned()
     }

@@ -13,6 +13,7 @@ use crate::format::forms::{Forms, Lists, Painted, Table};
 use crate::format::write::general_lens;
 use crate::format::{self, Section, TileEntry};
 use crate::model::about::Short;
+use crate::model::tiles::TileSource;
 use crate::{About, ColorMode, Encoding, Feature, MipRule, PcastFile, Result};
 
 /// The figures of `planecast info`. Byte counts are those of the file: tiles with equal content are stored, and
@@ -352,6 +353,42 @@ fn specialization(file: &PcastFile, tally: &Tally, equal: [u64; 2], per_level: &
     Specialization { left_out, needed: needed.into_iter().filter(|p| p.tiles > 0).collect() }
 }
 
+/// The figures of a world that no file holds as a whole, as far as they are known without its tiles.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WorldInfo {
+    /// `[nx, ny, nz]` of level 0, in voxels.
+    pub dims: [u32; 3],
+    pub levels: u32,
+    pub encoding: Encoding,
+    pub color: ColorMode,
+}
+
+impl WorldInfo {
+    pub fn of(world: &dyn TileSource) -> WorldInfo {
+        let (dims, levels) = (world.dims(), world.levels());
+        WorldInfo { dims, levels, encoding: world.encoding(), color: world.color() }
+    }
+}
+
+impl fmt::Display for WorldInfo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [nx, ny, nz] = self.dims;
+        writeln!(f, "what      world of sheets, drawn in tiles")?;
+        writeln!(f, "size      {nx} × {ny} × {nz} voxels (y up)")?;
+        writeln!(f, "colours   {}", colors(self.color))?;
+        writeln!(f, "levels    {}", self.levels)
+    }
+}
+
+/// How many colours there are.
+fn colors(color: ColorMode) -> &'static str {
+    match color {
+        ColorMode::None => "none",
+        ColorMode::Run => "one per run",
+        ColorMode::Voxel => "one per voxel",
+    }
+}
+
 impl fmt::Display for Info {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = |value: &dyn fmt::Debug| format!("{value:?}").to_lowercase();
@@ -383,12 +420,7 @@ impl fmt::Display for Info {
         line(f, "values", &about.values.map(|[a, b]| format!("{} to {}", Short(a), Short(b))).unwrap_or_default())?;
         line(f, "solid", &about.rule)?;
         line(f, "not in it", &about.left_out.join("; "))?;
-        let colors = match self.color {
-            ColorMode::None => "none",
-            ColorMode::Run => "one a run",
-            ColorMode::Voxel => "one a voxel",
-        };
-        line(f, "colours", colors)?;
+        line(f, "colours", colors(self.color))?;
         line(f, "levels", &self.levels.to_string())?;
         line(f, "file", &memory::display(self.bytes.total))?;
         writeln!(f)?;
