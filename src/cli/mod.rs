@@ -353,8 +353,8 @@ pub struct ReportArgs {
     /// Measure the scene as a world in tiles: error against time over memory, velocity, link and patience
     #[arg(long, conflicts_with_all = ["stability", "rounds", "budget_ms", "max_error"])]
     stream: bool,
-    /// With --stream: memory for tiles, as in 64M or 64M,1G [default: 25, 50, 100 and 200 % of what one view takes, with --quick
-    /// the last two]
+    /// With --stream: memory for tiles, as in 64M or 64M,1G [default: 25, 50, 100 and 200 % of what the first view needs, with
+    /// --quick the last two]
     #[arg(long, value_name = "SIZE[,SIZE]", value_delimiter = ',', value_parser = memory::parse, requires = "stream")]
     memory: Vec<u64>,
     /// Folder for the report; made if it is not there

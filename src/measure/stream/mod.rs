@@ -45,14 +45,14 @@ pub struct Job<'j> {
     pub device: Device,
     /// What all frames are drawn with.
     pub options: Options,
-    /// Bytes for tiles, one row each; none: parts of what one view takes.
+    /// Bytes for tiles, one row each; none: parts of what the first view needs.
     pub memories: &'j [u64],
 }
 
 /// Pixels of a frame unless told otherwise.
 pub const SIZE: [u32; 2] = [320, 240];
 
-/// Memory for tiles, by what the tiles of one view take.
+/// Memory for tiles, by what the first view needs.
 const PARTS: [f64; 4] = [0.25, 0.5, 1.0, 2.0];
 
 /// What is combined.
@@ -102,7 +102,7 @@ pub fn report(world: &World, flight: &Flight, job: &Job<'_>, tell: &mut dyn FnMu
     let size = job.size.unwrap_or(SIZE);
     let first = flight.poses(1.0, 1)[0].camera(size);
     let working_set = run::working_set(world, &first, job.device, &job.options, tell)?;
-    tell(&format!("the tiles of one view take {}", memory::display(working_set)));
+    tell(&format!("the first view needs {} for tiles", memory::display(working_set)));
     let parts = || extent.parts.iter().map(|part| (part * working_set as f64) as u64);
     let memories: Vec<u64> = if job.memories.is_empty() { parts().collect() } else { job.memories.to_vec() };
     let plan = Plan {

@@ -92,7 +92,7 @@ pub fn result(rows: &[Row]) -> String {
         return "Nothing was flown both with and without waiting for tiles.".into();
     };
     format!(
-        "At {} voxels per frame over {}, with {} for tiles ({:.0} % of what one view takes), a frame that waits for its tiles takes \
+        "At {} voxels per frame over {}, with {} for tiles ({:.0} % of what the first view needs), a frame that waits for its tiles takes \
          {:.1} ms (mean; p99 {:.1}) and shows {:.2} % wrong voxels; with {} it takes {:.1} ms (p99 {:.1}) and shows {:.2} % wrong voxels, \
          a FLIP of {:.4}.",
         waits.voxels_per_frame,
@@ -128,7 +128,8 @@ fn conditions(plan: &Plan<'_>, measured: &Measured) -> Vec<String> {
             fetch::threads()
         ),
         format!(
-            "The tiles of the first view take {}. The flight is {:.0} voxels long; at its ends it goes back.",
+            "The first view needs {} for tiles: with less it is drawn coarser, or not at all. The flight is {:.0} voxels long; at its ends \
+             it goes back.",
             memory::display(plan.working_set),
             plan.flight.length()
         ),
@@ -171,7 +172,7 @@ fn error_time(rows: &[Row], velocity: f64) -> Plot {
     Plot {
         name: format!("stream-error-time-{velocity}"),
         caption: format!(
-            "At {velocity} voxels per frame: patience and memory in percent of what one view takes. Pale lines go from the median to p99. \
+            "At {velocity} voxels per frame: patience and memory in percent of what the first view needs. Pale lines go from the median to p99. \
              Red rings mark each link's Pareto front: over it nothing measured is faster with less error."
         ),
         svg: scatter.svg(),

@@ -12,6 +12,7 @@ use super::flight::Flight;
 use super::link::{Link, Linked};
 use crate::cpu::renderer;
 use crate::error::{Error, Result};
+use crate::frame::picture::PagingStats;
 use crate::measure::compare::compare;
 use crate::measure::plot::pareto;
 use crate::measure::report::metrics::{FlipImage, spread};
@@ -55,7 +56,7 @@ pub struct Plan<'p> {
     pub size: [u32; 2],
     pub device: Device,
     pub options: Options,
-    /// Bytes that the tiles of one view take: see [`working_set`].
+    /// Memory that the first view needs: see [`working_set`].
     pub working_set: u64,
 }
 
@@ -64,7 +65,7 @@ pub struct Plan<'p> {
 pub struct Row {
     pub voxels_per_frame: f64,
     pub memory_bytes: u64,
-    /// Of the working set of one view.
+    /// Of what the first view needs: see [`working_set`].
     pub memory_percent: f64,
     /// The link in words; none per second for no limit.
     pub link: String,
@@ -289,7 +290,8 @@ impl Plan<'_> {
     }
 }
 
-/// Bytes that the tiles of a flight's first view take, where there is room for all.
+/// Least memory in which a view is drawn as finely as with all memory there is, to a sixteenth. It is more than its tiles take: each
+/// level has room for some of its own.
 ///
 /// # Errors
 /// Those of drawing.
@@ -300,10 +302,27 @@ pub fn working_set(
     options: &Options,
     tell: &mut dyn FnMut(&str),
 ) -> Result<u64> {
-    let source = Arc::clone(&world.source);
-    let mut renderer = Renderer::of_tiles(source, device, u64::MAX, Patience::Wait, world.tint.clone(), tell)?;
-    let frame = renderer.draw_with(camera, options, Outputs::default(), tell)?;
-    Ok(frame.stats.paging.bytes_resident.max(1))
+    let mut draw = |memory: u64| -> Result<PagingStats> {
+        let source = Arc::clone(&world.source);
+        let mut renderer = Renderer::of_tiles(source, device, memory, Patience::Wait, world.tint.clone(), tell)?;
+        Ok(renderer.draw_with(camera, options, Outputs::default(), tell)?.stats.paging)
+    };
+    let all = draw(u64::MAX)?;
+    let mut holds = |memory: u64| match draw(memory) {
+        Ok(paging) => Ok(paging.lod <= all.lod),
+        Err(Error::Limit(_)) => Ok(false),
+        Err(e) => Err(e),
+    };
+    let mut low = all.bytes_resident.max(1);
+    let mut high = low;
+    while high < u64::MAX && !holds(high)? {
+        (low, high) = (high, high.saturating_mul(2));
+    }
+    while high - low > high / 16 {
+        let middle = low + (high - low) / 2;
+        *if holds(middle)? { &mut high } else { &mut low } = middle;
+    }
+    Ok(high)
 }
 
 impl References {
@@ -472,6 +491,21 @@ mod tests {
         // The first view's tiles were there.
         assert!(worst > 0 && flip == row.flip_max && flown.frames[0].stats.paging.debt == 0);
         assert_eq!((row.stream.as_str(), row.latency_ms > 1e9, row.bytes_per_second), ("deadline:0", true, None));
+    }
+
+    #[test]
+    fn a_view_needs_as_much_memory_as_draws_it_as_finely() {
+        let (world, flight) = (world(), flight());
+        let plan = plan(&world, &flight, &[Link::UNLIMITED], &[]);
+        let camera = plan.cameras(1.0)[0];
+        let need = working_set(&world, &camera, plan.device, &plan.options, &mut |_| ()).unwrap();
+        let lod = |memory: u64| {
+            let mut renderer = plan.open(Arc::clone(&world.source), memory, &mut |_| ())?;
+            let frame = renderer.draw_with(&camera, &plan.options, Outputs::default(), &mut |_| ())?;
+            Ok::<f64, Error>(frame.stats.paging.lod)
+        };
+        assert_eq!(lod(need).unwrap(), 1.0);
+        assert!(lod(need - need / 8).map_or(true, |lod| lod > 1.0));
     }
 
     #[test]
