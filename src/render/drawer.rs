@@ -1,5 +1,6 @@
 //! Whatever draws a scene into a window or a page.
 
+#[cfg(not(target_arch = "wasm32"))]
 use std::sync::Arc;
 
 use crate::cpu::renderer::{CpuRenderer, Outputs};
