@@ -160,9 +160,9 @@ fn info_tells_of_a_world_of_sheets() {
     succeeds(dir.path(), "encode procedural:rocks?size=256&seed=3 -o a.pcast -q");
     succeeds(dir.path(), "world a.pcast a.pcast -o w.pworld");
     let said = succeeds(dir.path(), "info w.pworld");
-    assert!(said.contains("world of sheets") && said.contains("512 × 256 × 256 voxels"), "{said}");
+    assert!(said.contains("world of sheets") && said.contains("512 × 128 × 256 voxels"), "{said}");
     let json: serde_json::Value = serde_json::from_str(&succeeds(dir.path(), "info w.pworld --json")).unwrap();
-    assert_eq!(json["dims"], serde_json::json!([512, 256, 256]), "{json}");
+    assert_eq!(json["dims"], serde_json::json!([512, 128, 256]), "{json}");
 }
 
 #[test]
