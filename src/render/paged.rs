@@ -18,6 +18,7 @@ use crate::frame::projection::{Projection, face_cameras, join_faces};
 use crate::gpu::{GpuOptions, GpuRenderer};
 use crate::render::device::Device;
 use crate::world::pager::{Pager, Paging, Patience, Wanted, wanted};
+#[cfg(feature = "gpu")]
 use crate::world::probe::Probe;
 use crate::world::tables::Resident;
 use crate::world::tint::Tint;
@@ -332,6 +333,7 @@ impl Paged {
     }
 
     /// Looks into the tiles that are there.
+    #[cfg(feature = "gpu")]
     pub fn probe(&self) -> Probe<'_> {
         Probe::new(&self.pager, self.painter.tables())
     }
