@@ -51,7 +51,7 @@ fn patience(s: &str) -> Result<Patience, String> {
 /// A world that is open.
 pub enum Loaded {
     Whole { scene: Scene, surface: Box<Surface> },
-    Tiles(Tiles),
+    Tiles(Box<Tiles>),
 }
 
 /// Opens a world so that it comes in tiles; an input that has none is encoded in memory first.
@@ -82,11 +82,12 @@ impl ResidencyArgs {
     pub fn open(&self, path: &FilePath, read: &ReadOptions, skip_broken: bool) -> Result<Loaded> {
         let options = self.options(Patience::Wait);
         if let Some(tiles) = options.tiles(path, read)? {
-            return Ok(Loaded::Tiles(tiles));
+            return Ok(Loaded::Tiles(Box::new(tiles)));
         }
         let opened = planecast_encoder::cli::open(path, read, true)?;
         if options.pages(&opened.file, skip_broken, &mut tell) {
-            return Tiles::of_file(path, opened.file, opened.encoded, read).map(Loaded::Tiles);
+            let tiles = Tiles::of_file(path, opened.file, opened.encoded, read)?;
+            return Ok(Loaded::Tiles(Box::new(tiles)));
         }
         let surface = Box::new(Surface::of(&opened, read)?);
         Ok(Loaded::Whole { scene: planecast_encoder::cli::read_scene(&opened.file, skip_broken)?, surface })
