@@ -27,6 +27,9 @@ use crate::{Error, Result};
 /// By how much a view that the budget does not hold is drawn coarser at a time.
 const COARSER: f64 = 1.25;
 
+/// Frames until a finer view is tried again after one that the budget does not hold.
+const STEADY: u32 = 8;
+
 /// A view with `--lod off` that the budget does not hold begins here.
 const FINEST: f64 = 0.25;
 
@@ -95,6 +98,9 @@ pub(super) struct Paged {
     patience: Patience,
     /// How much coarser than asked for the latest frame was.
     coarser: f64,
+    /// The latest view that was too fine for the budget, and frames until another is tried finer.
+    refused: Option<(Camera, Options)>,
+    steady: u32,
     /// Whether pixels are counted by tile.
     count: bool,
     said_left_out: bool,
@@ -173,6 +179,8 @@ impl Paged {
             painter,
             patience,
             coarser: 1.0,
+            refused: None,
+            steady: 0,
             count: false,
             said_left_out: false,
             ahead: VecDeque::new(),
@@ -444,8 +452,13 @@ impl Paged {
     /// Brings the tiles of a frame, and says how fine it can be drawn.
     fn bring(&mut self, camera: &Camera, options: &Options) -> Result<(FramePlan, Paging)> {
         let patience = self.patience;
-        // Back to what was asked for bit by bit, so that no two frames differ much.
-        self.coarser = (self.coarser / COARSER.sqrt()).max(1.0);
+        let latest = self.coarser;
+        // Back to what was asked for bit by bit, so that no two frames differ much. A view that rests stays as it is: to try it finer
+        // once more would have it flicker, and bring tiles that are not held.
+        self.steady = self.steady.saturating_sub(1);
+        if self.steady == 0 && self.refused != Some((*camera, *options)) {
+            self.coarser = (latest / COARSER.sqrt()).max(1.0);
+        }
         loop {
             let drawn = Options { lod: self.lod(options), ..*options };
             let (plan, wants) = match self.next.take().filter(|(plan, _)| plan.is_of(camera, &drawn)) {
@@ -462,8 +475,10 @@ impl Paged {
             {
                 return Ok((plan, paging));
             }
-            self.coarser *= COARSER;
+            (self.refused, self.steady) = (Some((*camera, *options)), STEADY);
+            self.coarser = if self.coarser < latest { latest } else { self.coarser * COARSER };
             if self.coarser > 1e6 {
+                self.coarser = latest;
                 return Err(Error::Limit(format!(
                     "{}: the memory allowed does not hold the tiles of one view, however coarse",
                     self.pager.source().name()

@@ -1,7 +1,7 @@
 //! A world that can be drawn: from a scene file, from whatever `encode` reads, or from memory. The one door to a scene; renderers
 //! share it.
 
-pub mod fetch;
+pub(crate) mod fetch;
 pub mod matter;
 pub mod pager;
 #[cfg(not(target_arch = "wasm32"))]

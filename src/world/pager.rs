@@ -11,6 +11,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
@@ -19,10 +20,12 @@ use planecast_encoder::model::tiles::tile_size;
 use planecast_encoder::{ColorMode, Run, TileKey, TileSource};
 use rayon::prelude::*;
 
-use crate::clock::Instant;
+use crate::clock::Clock;
 use crate::frame::plane_setup::Setup;
-use crate::world::fetch::Fetcher;
-use crate::world::tables::{BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, Table, is_height_field, widen};
+use crate::world::fetch::{Fetcher, Tier};
+use crate::world::tables::{
+    BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, TILE_SHIFT, Table, is_height_field, widen,
+};
 use crate::world::tint::{Tint, Uncolored};
 use crate::{Error, Result};
 
@@ -153,6 +156,15 @@ struct Slots {
     pinned: bool,
 }
 
+impl Slots {
+    /// Gives back what a tile took beside its slot.
+    fn give(&mut self, held: Slot) {
+        self.runs.give(held.runs);
+        self.exposed.give(held.exposed);
+        self.colors.give(held.colors);
+    }
+}
+
 /// A change of a level's tables, for whoever keeps a copy.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
@@ -182,12 +194,6 @@ pub struct Paging {
     pub install_ms: f64,
 }
 
-/// How often a tile could not be had, and when it is asked for again.
-struct Fault {
-    tries: u32,
-    again_ms: f64,
-}
-
 /// Which tiles of a world are there.
 pub struct Pager {
     source: Arc<dyn TileSource>,
@@ -203,10 +209,10 @@ pub struct Pager {
     shares: Vec<u64>,
     /// Bytes of runs and colours beside the slots, of all tiles that came, and how many those were.
     beside: (u64, u64),
-    faults: HashMap<TileKey, Fault>,
+    /// Tiles of which it was said that they cannot be had.
     told: HashSet<TileKey>,
     notices: Vec<String>,
-    since: Instant,
+    clock: Clock,
 }
 
 /// The tiles that planes can touch, those that most of them pass first; `None` where more than a window holds.
@@ -289,9 +295,29 @@ pub struct Tile {
 }
 
 impl Tile {
-    /// What a source gives; `None` where it is to be heights and is not.
+    /// What a source gives; `None` where it is to be heights and is not. What a source panics about is a fault of one tile.
     pub(crate) fn read(source: &dyn TileSource, key: TileKey, heights: bool) -> Result<Option<Tile>> {
+        catch_unwind(AssertUnwindSafe(|| Tile::try_read(source, key, heights))).unwrap_or_else(|_| {
+            let TileKey { level, x, z } = key;
+            Err(Error::Limit(format!("{}: tile ({x}, {z}) of level {level} could not be made", source.name())))
+        })
+    }
+
+    fn try_read(source: &dyn TileSource, key: TileKey, heights: bool) -> Result<Option<Tile>> {
         let level = source.tile(key)?;
+        // A source that has changed since its extents were asked for would write beside its slot.
+        let [[nx, nz], is] = [tile_size(source.dims(), key), [level.solid.nx(), level.solid.nz()]];
+        if is != [nx, nz] {
+            return Err(Error::Limit(format!(
+                "{}: tile ({}, {}) of level {} has {} × {} columns, {nx} × {nz} were expected",
+                source.name(),
+                key.x,
+                key.z,
+                key.level,
+                is[0],
+                is[1]
+            )));
+        }
         if heights && !is_height_field(level.geometry(source.encoding())) {
             return Ok(None);
         }
@@ -318,8 +344,13 @@ impl Pager {
     /// Those of the coarsest tiles; [`Error::Limit`] where the budget does not hold as much as a tile a level.
     pub fn new(source: Arc<dyn TileSource>, budget: u64, tint: Option<Tint>) -> Result<(Pager, Resident)> {
         let source = if tint.is_some() { Arc::new(Uncolored(source)) } else { source };
+        Pager::with(Fetcher::new(source, Clock::start()), budget, tint)
+    }
+
+    /// The same for what a fetcher brings, by its clock.
+    fn with(fetcher: Fetcher, budget: u64, tint: Option<Tint>) -> Result<(Pager, Resident)> {
+        let (source, clock) = (Arc::clone(fetcher.source()), fetcher.clock().clone());
         let heights = source.is_height_field();
-        let fetcher = Fetcher::new(Arc::clone(&source));
         let mut pager = Pager {
             source,
             tint,
@@ -331,12 +362,11 @@ impl Pager {
             changes: Vec::new(),
             shares: Vec::new(),
             beside: (0, 0),
-            faults: HashMap::new(),
             told: HashSet::new(),
             notices: Vec::new(),
-            since: Instant::now(),
+            clock,
         };
-        let resident = pager.restart()?;
+        let resident = pager.restart(heights, pager.least_shares())?;
         Ok((pager, resident))
     }
 
@@ -355,15 +385,41 @@ impl Pager {
         self.slot_bytes() + self.beside.0 / self.beside.1.max(1)
     }
 
-    /// Empty tables, but for the coarsest levels. What was asked for before is forgotten.
-    fn restart(&mut self) -> Result<Resident> {
-        self.fetcher.restart();
+    /// The fewest slots that each level can do with.
+    fn least_shares(&self) -> Vec<u64> {
+        (0..self.source.levels()).map(|l| self.share(l, 1)).collect()
+    }
+
+    /// Empty tables, but for the coarsest levels, with so many slots for each; with fewer, and runs, where one of those tiles shows
+    /// that heights do not do. What was asked for before is forgotten. On an error all is as it was.
+    fn restart(&mut self, heights: bool, shares: Vec<u64>) -> Result<Resident> {
+        let shares = std::mem::replace(&mut self.shares, shares);
+        let old = (self.heights, shares, std::mem::take(&mut self.levels), std::mem::take(&mut self.changes));
+        self.heights = heights;
+        let mut made = self.begin();
+        if let Ok(None) = made {
+            // Slots for runs are larger: what was enough for heights may be too much.
+            (self.heights, self.shares) = (false, self.least_shares());
+            made = self.begin();
+        }
+        match made {
+            Ok(resident) => {
+                self.fetcher.restart(self.heights);
+                Ok(resident.expect("runs do for any tile"))
+            }
+            Err(e) => {
+                (self.heights, self.shares, self.levels, self.changes) = old;
+                Err(e)
+            }
+        }
+    }
+
+    /// The tables of [`Pager::restart`]; `None` where they are to be heights and a tile has others.
+    fn begin(&mut self) -> Result<Option<Resident>> {
         let dims = self.source.dims();
         let n_levels = self.source.levels();
         let grids = grids(dims);
         let pinned = |l: u32| grids[l as usize].n_tiles() <= PINNED;
-        self.shares.resize(n_levels as usize, 1);
-        self.shares = (0..).zip(&self.shares).map(|(l, &share)| self.share(l, share)).collect();
         let need = self.shares.iter().sum::<u64>() * self.slot_bytes();
         if need > self.budget {
             return Err(Error::Limit(format!(
@@ -422,27 +478,18 @@ impl Pager {
                 (0..tz).flat_map(move |z| (0..tx).map(move |x| TileKey { level, x, z }))
             })
             .collect();
-        let read: Vec<Result<Option<Tile>>> = pinned.par_iter().map(|&key| self.read(key)).collect();
+        let (source, heights) = (&*self.source, self.heights);
+        let read: Vec<Result<Option<Tile>>> = pinned.par_iter().map(|&key| Tile::read(source, key, heights)).collect();
         for (key, tile) in pinned.into_iter().zip(read) {
             match tile? {
                 Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables, self.frame)?,
-                None => return self.without_heights(),
+                None => return Ok(None),
             }
         }
         if let Some(tint) = &self.tint {
             tint.paint(&mut resident);
         }
-        Ok(resident)
-    }
-
-    /// The same with runs: a tile has shown that heights do not do.
-    fn without_heights(&mut self) -> Result<Resident> {
-        self.heights = false;
-        self.restart()
-    }
-
-    fn read(&self, key: TileKey) -> Result<Option<Tile>> {
-        Tile::read(&*self.source, key, self.heights)
+        Ok(Some(resident))
     }
 
     /// What gives the tiles.
@@ -460,9 +507,8 @@ impl Pager {
         std::mem::take(&mut self.notices)
     }
 
-    /// Milliseconds since it was made.
     fn now(&self) -> f64 {
-        self.since.elapsed().as_secs_f64() * 1e3
+        self.clock.ms()
     }
 
     /// The slot that a tile's place in the window has.
@@ -507,9 +553,6 @@ impl Pager {
         self.frame += 1;
         let mut paging = Paging { wanted: wants.len() as u32, ..Paging::default() };
         let (empty, wanted): (Vec<Wanted>, Vec<_>) = wants.iter().partition(|w| self.source.is_empty(w.key));
-        for w in empty {
-            self.clear(resident, w.key);
-        }
         let keys: HashSet<TileKey> = wanted.iter().map(|w| w.key).collect();
         let mut per_level = vec![0usize; self.levels.len()];
         for w in &wanted {
@@ -532,43 +575,32 @@ impl Pager {
             let Some(shares) = roomy.into_iter().find(|shares| shares.iter().sum::<u64>() <= most) else {
                 return Ok(None);
             };
-            self.shares = shares;
-            *resident = match self.restart() {
-                Err(Error::Limit(_)) => return Ok(None),
-                tables => tables?,
-            };
+            *resident = self.restart(self.heights, shares)?;
             return self.update(resident, wants, patience);
         }
         let before = self.now();
-        // What was asked for ahead of its frame.
-        let mut come = VecDeque::new();
-        while let Some(answer) = self.fetcher.next(0.0) {
-            come.push_back(answer);
-        }
-        let mut absent: Vec<Wanted> = wanted.iter().copied().filter(|w| self.lacks(resident, w.key)).collect();
-        let (mut tries, mut asked) = (HashMap::<TileKey, u32>::new(), false);
+        // What was asked for ahead of its frame. The rest is asked for when that is in its place, and not once more.
+        let mut come: VecDeque<_> = std::iter::from_fn(|| self.fetcher.next(0.0)).collect();
+        let mut tries = HashMap::<TileKey, u32>::new();
+        // Those of the wanted tiles that are on their way, once they were asked for.
+        let mut coming: Option<HashSet<TileKey>> = None;
         let end = match patience {
             Patience::Wait => f64::INFINITY,
             Patience::Deadline(ms) => before + ms,
         };
-        if patience != Patience::Wait {
-            self.request(resident, &absent);
-        }
         loop {
             if come.is_empty() {
-                let put_off = |key: TileKey| match patience {
-                    Patience::Wait => tries.get(&key).is_some_and(|&n| n >= TRIES),
-                    Patience::Deadline(_) => self.is_put_off(key),
-                };
-                absent.retain(|w| self.lacks(resident, w.key) && !put_off(w.key));
-                if patience == Patience::Wait && !std::mem::replace(&mut asked, true) {
-                    let keys: Vec<TileKey> = absent.iter().map(|w| w.key).collect();
-                    self.fetcher.now(&keys, self.heights);
-                }
-                let left = if absent.is_empty() { 0.0 } else { (end - self.now()).max(0.0) };
+                let coming = coming.get_or_insert_with(|| {
+                    let absent = wanted.iter().copied().filter(|w| self.lacks(resident, w.key)).collect();
+                    self.request(resident, absent, &tries, patience)
+                });
+                let left = if coming.is_empty() { 0.0 } else { (end - self.now()).max(0.0) };
                 come.extend(self.fetcher.next(left));
             }
             let Some((key, tile)) = come.pop_front() else { break };
+            if let Some(coming) = &mut coming {
+                coming.remove(&key);
+            }
             match tile {
                 Ok(Some(tile)) => {
                     // What nobody wants yet goes first when room is short.
@@ -576,20 +608,35 @@ impl Pager {
                     self.arrive(resident, key, &tile, used, &mut paging)?;
                 }
                 Ok(None) => {
-                    *resident = self.without_heights()?;
+                    *resident = self.restart(false, self.least_shares())?;
                     return self.update(resident, wants, patience);
                 }
                 Err(e) => {
-                    *tries.entry(key).or_default() += 1;
-                    asked = false;
-                    self.fault(key, &e);
+                    if self.told.insert(key) {
+                        let what = format!("{e}; it is shown from a coarser tile, and asked for again");
+                        self.notices.push(what);
+                    }
+                    let tries = tries.entry(key).or_default();
+                    *tries += 1;
+                    if let Some(coming) = &mut coming
+                        && patience == Patience::Wait
+                        && *tries < TRIES
+                        && keys.contains(&key)
+                    {
+                        self.fetcher.retry(key);
+                        coming.insert(key);
+                    }
                 }
             }
-            if self.now() >= end && come.is_empty() {
+            if coming.is_some() && come.is_empty() && self.now() >= end {
                 break;
             }
         }
         paging.unpack_ms = self.now() - before - paging.install_ms;
+        // After all that came: a tile that came too late may stand where there is to be nothing.
+        for w in empty {
+            self.clear(resident, w.key);
+        }
         for w in &wanted {
             if !self.lacks(resident, w.key) {
                 continue;
@@ -612,18 +659,18 @@ impl Pager {
 
     /// Asks for tiles that a later frame will want, after those that one wants now.
     pub fn prefetch(&mut self, resident: &Resident, wants: &[Wanted]) {
-        let absent = wants.iter().filter(|w| !self.source.is_empty(w.key) && self.lacks(resident, w.key));
-        let absent: Vec<TileKey> = absent.map(|w| w.key).filter(|&key| !self.is_put_off(key)).collect();
-        self.fetcher.later(&absent, self.heights);
+        let put_off = self.fetcher.put_off();
+        let absent = wants.iter().filter(|w| self.lacks(resident, w.key) && !put_off.contains(&w.key));
+        let absent: Vec<TileKey> = absent.map(|w| w.key).collect();
+        self.fetcher.ask(Tier::Later, &absent);
     }
 
-    /// Shows nothing where an empty tile is.
+    /// Shows nothing where an empty tile is: what stands at its place is a whole window away.
     fn clear(&mut self, resident: &mut Resident, key: TileKey) {
         let slot = Pager::slot_at(resident, key);
-        if slot != 0 {
+        if slot != 0 && self.held(resident, key).is_none() {
             self.evict(resident, key.level, slot);
             self.levels[key.level as usize].free.push(slot);
-            self.changes.push(Change::Pages { level: key.level });
         }
     }
 
@@ -631,47 +678,67 @@ impl Pager {
         self.missing(resident, key) != Some(0)
     }
 
-    /// Whether a tile failed lately.
-    fn is_put_off(&self, key: TileKey) -> bool {
-        self.faults.get(&key).is_some_and(|fault| fault.again_ms > self.now())
+    /// Asks for wanted tiles that are not there, and says which of them are on their way then.
+    fn request(
+        &mut self,
+        resident: &Resident,
+        absent: Vec<Wanted>,
+        tries: &HashMap<TileKey, u32>,
+        patience: Patience,
+    ) -> HashSet<TileKey> {
+        let (coming, asked): (HashSet<TileKey>, Vec<TileKey>) = match patience {
+            // A frame that waits takes no time off.
+            Patience::Wait => {
+                let due = absent.iter().filter(|w| tries.get(&w.key).is_none_or(|&n| n < TRIES));
+                due.map(|w| (w.key, w.key)).unzip()
+            }
+            Patience::Deadline(_) => {
+                let put_off = self.fetcher.put_off();
+                let due = absent.iter().map(|w| w.key).filter(|key| !put_off.contains(key));
+                (due.collect(), self.by_debt(resident, &absent, &put_off))
+            }
+        };
+        self.fetcher.ask(Tier::Now, &asked);
+        coming
     }
 
-    fn fault(&mut self, key: TileKey, error: &Error) {
-        let now = self.now();
-        let fault = self.faults.entry(key).or_insert(Fault { tries: 0, again_ms: 0.0 });
-        fault.tries += 1;
-        // Each time twice as long, half a minute at most.
-        fault.again_ms = now + (250.0 * f64::from(1u32 << fault.tries.min(7))).min(30_000.0);
-        if self.told.insert(key) {
-            self.notices.push(format!("{error}; it is shown from a coarser tile, and asked for again"));
-        }
-    }
-
-    /// Lets workers bring what is not there, and of what stands far below what it should be first a tile in between.
-    fn request(&mut self, resident: &Resident, absent: &[Wanted]) {
+    /// What to ask for where a frame does not wait for all: what is farthest from what it should be first, and of what stands far
+    /// below that first a tile in between.
+    fn by_debt(&self, resident: &Resident, absent: &[Wanted], put_off: &HashSet<TileKey>) -> Vec<TileKey> {
         let mut asked: Vec<(u64, TileKey)> = Vec::new();
         let mut seen = HashSet::new();
+        // Slots of each level for what the frame does not want itself. A tile without one would be made in vain each frame, before
+        // those that are wanted.
+        let idle = |held: &Slot| held.used < self.frame;
+        let spare =
+            |level: &Slots| if level.pinned { 0 } else { level.slots.iter().flatten().filter(|s| idle(s)).count() };
+        let mut room: Vec<usize> = self.levels.iter().map(|level| level.free.len() + spare(level)).collect();
         for w in absent {
             let (mut key, mut up) = (w.key, 0);
             let mut nearest = key;
             while nearest.level + 1 < self.levels.len() as u32 && self.lacks(resident, nearest) {
                 nearest = nearest.parent();
             }
-            let levels = nearest.level - key.level;
-            if !self.is_put_off(key) && seen.insert(key) {
+            // What stands there may be of a finer tile that has gone since.
+            let stands = self.missing(resident, key).unwrap_or(u32::MAX);
+            let levels = (nearest.level - key.level).min(stands);
+            if !put_off.contains(&key) && seen.insert(key) {
                 asked.push((u64::from(w.planes) * u64::from(levels), key));
             }
             while up + 3 < levels {
                 (key, up) = (key.parent().parent(), up + 2);
-                if !self.is_put_off(key) && !self.source.is_empty(key) && self.lacks(resident, key) && seen.insert(key)
-                {
+                let there = Pager::slot_at(resident, key) as usize;
+                let there = self.levels[key.level as usize].slots[there].as_ref();
+                let fits = there.is_none_or(|held| held.key == key || idle(held));
+                let room = &mut room[key.level as usize];
+                if fits && *room > 0 && !put_off.contains(&key) && self.lacks(resident, key) && seen.insert(key) {
+                    *room -= 1;
                     asked.push(((u64::from(w.planes) * u64::from(levels)) << (2 * up).min(32), key));
                 }
             }
         }
         asked.sort_unstable_by_key(|&(debt, key)| (std::cmp::Reverse(debt), key));
-        let asked: Vec<TileKey> = asked.into_iter().map(|(_, key)| key).collect();
-        self.fetcher.now(&asked, self.heights);
+        asked.into_iter().map(|(_, key)| key).collect()
     }
 
     fn arrive(
@@ -682,7 +749,6 @@ impl Pager {
         used: u64,
         paging: &mut Paging,
     ) -> Result<()> {
-        self.faults.remove(&key);
         let start = self.now();
         if self.install(resident, key, 0, &tile.tables, used)?.is_some_and(|evicted| {
             paging.evicted += u32::from(evicted);
@@ -716,14 +782,14 @@ impl Pager {
     fn evict(&mut self, resident: &mut Resident, level: u32, slot: u32) {
         let slots = &mut self.levels[level as usize];
         let Some(held) = slots.slots[slot as usize].take() else { return };
-        slots.runs.give(held.runs);
-        slots.exposed.give(held.exposed);
-        slots.colors.give(held.colors);
+        let key = held.key;
+        slots.give(held);
         let pages = resident.levels[level as usize].pages.as_mut().expect("a paged level has pages");
-        let place = pages.place(held.key.x, held.key.z);
+        let place = pages.place(key.x, key.z);
         if pages.slots[place] == slot {
             pages.slots[place] = 0;
         }
+        self.changes.push(Change::Pages { level });
     }
 
     /// Puts a tile into the tables; whether one had to go for it, or `None` where there is no room among those that are wanted.
@@ -755,100 +821,31 @@ impl Pager {
             }
             (there, free) => {
                 self.levels[l].free.extend(free);
+                // A tile that came too late does not take the place of one that is wanted.
+                if !known && self.levels[l].slots[there as usize].as_ref().is_some_and(|held| held.used >= self.frame) {
+                    return Ok(None);
+                }
                 evicted = !known;
                 there
             }
         };
         self.evict(resident, key.level, slot);
         let slots = &mut self.levels[l];
-        let level = &mut resident.levels[l];
-        let out_of = |what: &str| Error::Limit(format!("a level with more than 2³² words of {what} at once"));
-        let at = slot as usize * COLUMNS;
-        let (nx, nz) = (tile.nx as usize, tile.nz as usize);
-        let row = |z: usize| at + z * TILE as usize;
-        let part = |at: &Range<u32>| at.start as usize..at.end as usize;
-        let mut held = Slot { key, missing, used, runs: 0..0, exposed: 0..0, colors: 0..0 };
-        match (&mut level.table, &tile.table) {
-            (Table::Heights(out), Table::Heights(heights)) => {
-                if (nx, nz) != (TILE as usize, TILE as usize) {
-                    out[at..at + COLUMNS].fill(0);
-                }
-                for z in 0..nz {
-                    out[row(z)..row(z) + nx].copy_from_slice(&heights[z * nx..(z + 1) * nx]);
-                }
+        let held = Slot { key, missing, used, runs: 0..0, exposed: 0..0, colors: 0..0 };
+        let held = match put(slots, &mut resident.levels[l], slot, held, tile) {
+            Ok(held) => held,
+            Err(e) => {
+                slots.free.push(slot);
+                return Err(e);
             }
-            (Table::Runs { columns: out, runs: all }, Table::Runs { columns, runs }) => {
-                // Word 0 of a tile is unused.
-                held.runs = slots.runs.take(runs.len() as u32 - 1).ok_or_else(|| out_of("runs"))?;
-                grow(all, slots.runs.end)?;
-                all[part(&held.runs)].copy_from_slice(&runs[1..]);
-                let shift = held.runs.start.wrapping_sub(1);
-                out[at..at + COLUMNS].fill([EMPTY, 0]);
-                for z in 0..nz {
-                    for (out, &[top, more]) in out[row(z)..].iter_mut().zip(&columns[z * nx..(z + 1) * nx]) {
-                        *out = [top, if more == 0 { 0 } else { more.wrapping_add(shift) }];
-                    }
-                }
-            }
-            _ => unreachable!("tiles are read as the world's tables are"),
-        }
-        let blocks = &mut level.blocks[slot as usize * BLOCKS..][..BLOCKS];
-        blocks.fill(EMPTY);
-        let (across, side) = (nx.div_ceil(1 << BLOCK_SHIFT), (TILE >> BLOCK_SHIFT) as usize);
-        for (out, row) in blocks.chunks_mut(side).zip(tile.blocks.chunks(across.max(1))) {
-            out[..row.len()].copy_from_slice(row);
-        }
-        match (&mut level.paint, &tile.paint) {
-            (Paint::None | Paint::Height { .. }, _) => {}
-            (Paint::Column { colors: out }, Paint::Column { colors }) => {
-                for z in 0..nz {
-                    out[row(z)..row(z) + nx].copy_from_slice(&colors[z * nx..(z + 1) * nx]);
-                }
-            }
-            (Paint::Run { base: out, colors: all }, Paint::Run { base, colors }) => {
-                held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
-                grow(all, slots.colors.end)?;
-                all[part(&held.colors)].copy_from_slice(colors);
-                for z in 0..nz {
-                    for (out, &base) in out[row(z)..].iter_mut().zip(&base[z * nx..(z + 1) * nx]) {
-                        *out = base + held.colors.start;
-                    }
-                }
-            }
-            (Paint::Top { starts: out, colors: all }, Paint::Top { colors, .. } | Paint::Column { colors }) => {
-                held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
-                grow(all, slots.colors.end)?;
-                all[part(&held.colors)].copy_from_slice(colors);
-                let out = &mut out[slot as usize * STARTS..][..STARTS];
-                put_starts(out, [nx, nz], |ix| {
-                    held.colors.start
-                        + match &tile.paint {
-                            Paint::Top { starts, .. } => starts[ix],
-                            _ => ix as u32,
-                        }
-                });
-            }
-            (Paint::Voxel { base: out, exposed: all, colors: every }, Paint::Voxel { base, exposed, colors }) => {
-                held.exposed = slots.exposed.take(exposed.len() as u32).ok_or_else(|| out_of("exposed runs"))?;
-                held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
-                grow(all, slots.exposed.end)?;
-                grow(every, slots.colors.end)?;
-                for (out, &[run, at]) in all[part(&held.exposed)].iter_mut().zip(exposed.iter()) {
-                    *out = [run, at + held.colors.start];
-                }
-                every[part(&held.colors)].copy_from_slice(colors);
-                let out = &mut out[slot as usize * STARTS..][..STARTS];
-                put_starts(out, [nx, nz], |ix| base[ix] + held.exposed.start);
-            }
-            _ => unreachable!("tiles are read as the world's tables are"),
-        }
+        };
         let (runs, exposed, colors) = (held.runs.clone(), held.exposed.clone(), held.colors.clone());
         if missing == 0 {
             self.beside.0 += held.beside();
             self.beside.1 += 1;
         }
         slots.slots[slot as usize] = Some(held);
-        let pages = level.pages.as_mut().expect("a paged level has pages");
+        let pages = resident.levels[l].pages.as_mut().expect("a paged level has pages");
         let place = pages.place(key.x, key.z);
         pages.slots[place] = slot;
         self.changes.push(Change::Slot { level: key.level, slot, runs, exposed, colors });
@@ -865,16 +862,113 @@ impl Pager {
         if above.level >= self.levels.len() as u32 {
             return Ok(());
         }
-        // As good as what stands there already.
-        if self.missing(resident, key) == Some(k) {
+        // No better than what stands there already: that may be of a tile that has gone since.
+        if self.missing(resident, key).is_some_and(|stands| stands <= k) {
             return Ok(());
         }
-        let tile = stand_in(resident, key, k)?;
+        // Of an empty tile only slot 0 is: at its place there may be one that is a whole window away.
+        let from = if self.held(resident, above).is_some() { Pager::slot_at(resident, above) } else { 0 };
+        let tile = stand_in(resident, key, k, from)?;
         if let Some(evicted) = self.install(resident, key, k, &tile, self.frame)? {
             paging.evicted += u32::from(evicted);
         }
         Ok(())
     }
+}
+
+/// Writes a tile into a slot that is free. Parts of the other tables that it took are given back on an error.
+fn put(slots: &mut Slots, level: &mut ResidentLevel, slot: u32, held: Slot, tile: &ResidentLevel) -> Result<Slot> {
+    let mut held = held;
+    match write(slots, level, slot, &mut held, tile) {
+        Ok(()) => Ok(held),
+        Err(e) => {
+            slots.give(held);
+            Err(e)
+        }
+    }
+}
+
+fn write(slots: &mut Slots, level: &mut ResidentLevel, slot: u32, held: &mut Slot, tile: &ResidentLevel) -> Result<()> {
+    let out_of = |what: &str| Error::Limit(format!("a level with more than 2³² words of {what} at once"));
+    let at = slot as usize * COLUMNS;
+    let (nx, nz) = (tile.nx as usize, tile.nz as usize);
+    let row = |z: usize| at + z * TILE as usize;
+    let part = |at: &Range<u32>| at.start as usize..at.end as usize;
+    match (&mut level.table, &tile.table) {
+        (Table::Heights(out), Table::Heights(heights)) => {
+            if (nx, nz) != (TILE as usize, TILE as usize) {
+                out[at..at + COLUMNS].fill(0);
+            }
+            for z in 0..nz {
+                out[row(z)..row(z) + nx].copy_from_slice(&heights[z * nx..(z + 1) * nx]);
+            }
+        }
+        (Table::Runs { columns: out, runs: all }, Table::Runs { columns, runs }) => {
+            // Word 0 of a tile is unused.
+            held.runs = slots.runs.take(runs.len() as u32 - 1).ok_or_else(|| out_of("runs"))?;
+            grow(all, slots.runs.end)?;
+            all[part(&held.runs)].copy_from_slice(&runs[1..]);
+            let shift = held.runs.start.wrapping_sub(1);
+            out[at..at + COLUMNS].fill([EMPTY, 0]);
+            for z in 0..nz {
+                for (out, &[top, more]) in out[row(z)..].iter_mut().zip(&columns[z * nx..(z + 1) * nx]) {
+                    *out = [top, if more == 0 { 0 } else { more.wrapping_add(shift) }];
+                }
+            }
+        }
+        _ => unreachable!("tiles are read as the world's tables are"),
+    }
+    let blocks = &mut level.blocks[slot as usize * BLOCKS..][..BLOCKS];
+    blocks.fill(EMPTY);
+    let (across, side) = (nx.div_ceil(1 << BLOCK_SHIFT), (TILE >> BLOCK_SHIFT) as usize);
+    for (out, row) in blocks.chunks_mut(side).zip(tile.blocks.chunks(across.max(1))) {
+        out[..row.len()].copy_from_slice(row);
+    }
+    match (&mut level.paint, &tile.paint) {
+        (Paint::None | Paint::Height { .. }, _) => {}
+        (Paint::Column { colors: out }, Paint::Column { colors }) => {
+            for z in 0..nz {
+                out[row(z)..row(z) + nx].copy_from_slice(&colors[z * nx..(z + 1) * nx]);
+            }
+        }
+        (Paint::Run { base: out, colors: all }, Paint::Run { base, colors }) => {
+            held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
+            grow(all, slots.colors.end)?;
+            all[part(&held.colors)].copy_from_slice(colors);
+            for z in 0..nz {
+                for (out, &base) in out[row(z)..].iter_mut().zip(&base[z * nx..(z + 1) * nx]) {
+                    *out = base + held.colors.start;
+                }
+            }
+        }
+        (Paint::Top { starts: out, colors: all }, Paint::Top { colors, .. } | Paint::Column { colors }) => {
+            held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
+            grow(all, slots.colors.end)?;
+            all[part(&held.colors)].copy_from_slice(colors);
+            let out = &mut out[slot as usize * STARTS..][..STARTS];
+            put_starts(out, [nx, nz], |ix| {
+                held.colors.start
+                    + match &tile.paint {
+                        Paint::Top { starts, .. } => starts[ix],
+                        _ => ix as u32,
+                    }
+            });
+        }
+        (Paint::Voxel { base: out, exposed: all, colors: every }, Paint::Voxel { base, exposed, colors }) => {
+            held.exposed = slots.exposed.take(exposed.len() as u32).ok_or_else(|| out_of("exposed runs"))?;
+            held.colors = slots.colors.take(colors.len() as u32).ok_or_else(|| out_of("colours"))?;
+            grow(all, slots.exposed.end)?;
+            grow(every, slots.colors.end)?;
+            for (out, &[run, at]) in all[part(&held.exposed)].iter_mut().zip(exposed.iter()) {
+                *out = [run, at + held.colors.start];
+            }
+            every[part(&held.colors)].copy_from_slice(colors);
+            let out = &mut out[slot as usize * STARTS..][..STARTS];
+            put_starts(out, [nx, nz], |ix| base[ix] + held.exposed.start);
+        }
+        _ => unreachable!("tiles are read as the world's tables are"),
+    }
+    Ok(())
 }
 
 /// Writes where the columns of a slot begin, of a tile that may be smaller: what it lacks begins and ends where the next does.
@@ -888,8 +982,8 @@ fn put_starts(out: &mut [u32], [nx, nz]: [usize; 2], start: impl Fn(usize) -> u3
     rest.fill(start(nz * nx));
 }
 
-/// The tables of a tile, from one that is `k` levels coarser.
-fn stand_in(resident: &Resident, key: TileKey, k: u32) -> Result<ResidentLevel> {
+/// The tables of a tile, from one that is `k` levels coarser and stands in a slot.
+fn stand_in(resident: &Resident, key: TileKey, k: u32, slot: u32) -> Result<ResidentLevel> {
     let level = &resident.levels[(key.level + k) as usize];
     let [nx, nz] = tile_size(resident.dims, key);
     let n = nx as usize * nz as usize;
@@ -901,8 +995,8 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32) -> Result<ResidentLevel> 
         (first < end).then(|| Run::new(first as u16, (end - 1) as u16))
     };
     let above = |ix: usize| -> usize {
-        let [x, z] = [ix as u32 % nx, ix as u32 / nx];
-        level.index((key.x * TILE + x) >> k, (key.z * TILE + z) >> k)
+        let [x, z] = [key.x * TILE + ix as u32 % nx, key.z * TILE + ix as u32 / nx].map(|at| (at >> k) % TILE);
+        (slot << (2 * TILE_SHIFT) | z << TILE_SHIFT | x) as usize
     };
     let table = match &level.table {
         Table::Heights(heights) => {
@@ -1008,13 +1102,18 @@ fn grow<T: Zeroable + Clone>(table: &mut Vec<T>, n: u32) -> Result<()> {
 }
 
 #[cfg(test)]
+mod extremes;
+#[cfg(test)]
+mod mock;
+#[cfg(test)]
+mod model;
+
+#[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
-    use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-
     use glam::DVec3;
-    use planecast_encoder::{About, BuildOptions, Colors, Columns, Encoding, Input, Level, PcastFile, Scene, build};
+    use planecast_encoder::{About, BuildOptions, Colors, Columns, Encoding, Input, Scene, build};
 
+    use super::mock::{Fault, Mock};
     use super::*;
     use crate::cpu::renderer::{CpuRenderer, Outputs};
     use crate::render::device::{Device, Renderer};
@@ -1022,7 +1121,7 @@ mod tests {
     use crate::{Camera, Options};
 
     /// Hills, or caves, of several tiles whose last ones are cut off.
-    fn scene(caves: bool, color: ColorMode, encoding: Encoding) -> Scene {
+    pub(super) fn scene(caves: bool, color: ColorMode, encoding: Encoding) -> Scene {
         let hill = |x: u32, z: u32| {
             let bump = |s: f32| ((x as f32 / s).sin() + (z as f32 / s).cos()) * s / 6.0;
             (40.0 + bump(90.0) + bump(17.0)) as u32
@@ -1037,66 +1136,7 @@ mod tests {
         build(input, &BuildOptions { encoding, color: Some(color), ..BuildOptions::default() }).unwrap()
     }
 
-    /// Tiles of a scene in memory; some of them fail, and how many were asked for.
-    struct Mock {
-        file: PcastFile,
-        heights: bool,
-        asked: AtomicUsize,
-        fails: AtomicBool,
-        log: Mutex<Vec<TileKey>>,
-    }
-
-    impl Mock {
-        fn new(scene: &Scene, heights: bool) -> Arc<Mock> {
-            let mut bytes = std::io::Cursor::new(Vec::new());
-            let name = std::path::Path::new("mock.pcast");
-            planecast_encoder::format::write::write_scene_to(scene, &mut bytes, name).unwrap();
-            let file = PcastFile::from_bytes(name, bytes.into_inner()).unwrap();
-            let (asked, fails, log) = Default::default();
-            Arc::new(Mock { file, heights, asked, fails, log })
-        }
-    }
-
-    impl TileSource for Mock {
-        fn name(&self) -> String {
-            "mock".into()
-        }
-
-        fn dims(&self) -> [u32; 3] {
-            self.file.dims()
-        }
-
-        fn encoding(&self) -> Encoding {
-            TileSource::encoding(&self.file)
-        }
-
-        fn color(&self) -> ColorMode {
-            TileSource::color(&self.file)
-        }
-
-        fn heights(&self, level: u32) -> [u32; 2] {
-            self.file.heights(level)
-        }
-
-        fn is_height_field(&self) -> bool {
-            self.heights
-        }
-
-        fn is_empty(&self, key: TileKey) -> bool {
-            self.file.is_empty(key)
-        }
-
-        fn tile(&self, key: TileKey) -> planecast_encoder::Result<Level> {
-            self.asked.fetch_add(1, Ordering::Relaxed);
-            self.log.lock().unwrap().push(key);
-            if self.fails.load(Ordering::Relaxed) && key.level < 2 {
-                return Err(planecast_encoder::Error::Limit(format!("tile ({}, {}) is out", key.x, key.z)));
-            }
-            TileSource::tile(&self.file, key)
-        }
-    }
-
-    fn cameras() -> Vec<Camera> {
+    pub(super) fn cameras() -> Vec<Camera> {
         let pose = |eye: [f64; 3], yaw: f64, pitch: f64, roll: f64| Camera {
             eye: DVec3::from_array(eye),
             yaw,
@@ -1166,7 +1206,7 @@ mod tests {
                 }
             }
             assert!(evicted > 0 || caves);
-            assert!(source.asked.load(Ordering::Relaxed) > 20);
+            assert!(source.asked() > 20);
         }
     }
 
@@ -1177,7 +1217,7 @@ mod tests {
             let resident = Arc::new(Resident::new(&scene));
             let mut whole = CpuRenderer::new(&scene, &resident);
             let source = Mock::new(&scene, !caves);
-            source.fails.store(true, Ordering::Relaxed);
+            source.set(|key| (key.level < 2).then_some(Fault::Out));
             let mut paged =
                 Renderer::of_tiles(source.clone(), Device::Cpu, 64 << 20, Patience::Wait, None, &mut |_| ()).unwrap();
             let camera = cameras()[0];
@@ -1192,7 +1232,7 @@ mod tests {
             let pixels = coarse.depth.iter().zip(&sharp.depth);
             let off = pixels.filter(|(a, b)| a.is_finite() != b.is_finite()).count();
             assert!(off < 96, "{off} pixels are sky in one and not in the other");
-            source.fails.store(false, Ordering::Relaxed);
+            source.set(|_| None);
             let frame = paged.draw_with(&camera, &options, Outputs::default(), &mut |_| ()).unwrap();
             assert!(frame.color == sharp.color && frame.stats.paging.debt == 0);
         }
