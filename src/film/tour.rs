@@ -1,8 +1,8 @@
 //! A good view and a good tour of any scene, made from its columns alone.
 //!
 //! A view is framed by what is solid, taken from a coarse level, so that a scene of any size takes the same short time: an
-//! *object* (tall for its width) fills three quarters of the picture, a *terrain* (wide and low) is seen whole, obliquely,
-//! with north away from the eye.
+//! *object* (tall for its width) fills three quarters of the picture, from the front, or from where one sees into it much
+//! deeper: a room from its open side; a *terrain* (wide and low) is seen whole, obliquely, with north away from the eye.
 //!
 //! The tour begins and ends there. Over a terrain the camera flies a loop within the map, above the ground, looking ahead and
 //! inwards, toward where the relief is highest. An object is circled at the distance at which it fills the picture, from a
@@ -91,8 +91,8 @@ pub struct Subject {
     pub low: DVec3,
     pub high: DVec3,
     pub terrain: bool,
-    /// Whether the map is much longer in z than in x.
-    long: bool,
+    /// Yaw and pitch of the good view.
+    pub side: [f64; 2],
 }
 
 impl Subject {
@@ -130,7 +130,12 @@ impl Subject {
         }
         let wide = high.y <= 0.4 * dims.x.min(dims.z);
         let terrain = wide && 2 * covered > u64::from(columns.nx()) * u64::from(columns.nz());
-        Subject { corners, low, high, terrain, long: dims.z > 1.6 * dims.x }
+        let side = match terrain {
+            false => side_of_object(columns, [low, high].map(|at| at / size)),
+            true if dims.z > 1.6 * dims.x => [SIDE_OF_TERRAIN[0] + 90.0, SIDE_OF_TERRAIN[1]],
+            true => SIDE_OF_TERRAIN,
+        };
+        Subject { corners, low, high, terrain, side }
     }
 
     /// The middle of the box around what is solid.
@@ -138,17 +143,8 @@ impl Subject {
         (self.low + self.high) / 2.0
     }
 
-    /// Yaw and pitch of the good view.
-    pub fn side(&self) -> [f64; 2] {
-        match (self.terrain, self.long) {
-            (false, _) => SIDE_OF_OBJECT,
-            (true, false) => SIDE_OF_TERRAIN,
-            (true, true) => [SIDE_OF_TERRAIN[0] + 90.0, SIDE_OF_TERRAIN[1]],
-        }
-    }
-
     fn still(&self, view: View) -> Pose {
-        let [yaw, pitch] = self.side();
+        let [yaw, pitch] = self.side;
         self.framed(yaw, pitch, view)
     }
 
@@ -208,6 +204,38 @@ impl Subject {
         };
         self.corners.iter().map(needed).fold(1.0, f64::max)
     }
+}
+
+/// The side from which an object is seen first: the front, unless another shows what is inside of the box around it.
+fn side_of_object(columns: &Columns, bounds: [DVec3; 2]) -> [f64; 2] {
+    let [yaw, pitch] = SIDE_OF_OBJECT;
+    let quarters = [0.0, 90.0, 180.0, -90.0].map(|turn| [yaw + turn, pitch]);
+    let depths = quarters.map(|side| depth_behind(columns, bounds, side));
+    let deepest = (1..4).fold(0, |best, i| if depths[i] > depths[best] { i } else { best });
+    // A box's front is as good as its back; a figure's is better.
+    if depths[deepest] > 0.1 && depths[deepest] > 1.8 * depths[0] { quarters[deepest] } else { quarters[0] }
+}
+
+/// How far behind the faces of its box an object is seen from one side: the mean over parallel rays that meet it, in diagonals of
+/// the box.
+fn depth_behind(columns: &Columns, [low, high]: [DVec3; 2], [yaw, pitch]: [f64; 2]) -> f64 {
+    const RAYS: i32 = 24;
+    let basis = Pose { eye: DVec3::ZERO, yaw, pitch, roll: 0.0, fov: 60.0 }.camera([1, 1]).basis();
+    let (center, diagonal) = ((low + high) / 2.0, (high - low).length());
+    let depth = |u: i32, v: i32| -> Option<f64> {
+        let [u, v] = [u, v].map(|at| (f64::from(at) + 0.5) / f64::from(RAYS) - 0.5);
+        let from = center + diagonal * (u * basis.right + v * basis.up - basis.forward);
+        let [a, b] = [low, high].map(|corner| (corner - from) / basis.forward);
+        let (enters, leaves) = (a.min(b).max_element(), a.max(b).min_element());
+        // A step of a voxel is enough to tell sides apart.
+        let steps = (leaves - enters).max(0.0).ceil() as u32;
+        (0..steps).map(|i| f64::from(i) + 0.5).find(|t| {
+            let at = (from + (enters + t) * basis.forward).floor();
+            columns.solid(at.x as i64, at.y as i64, at.z as i64)
+        })
+    };
+    let seen: Vec<f64> = (0..RAYS).flat_map(|v| (0..RAYS).filter_map(move |u| depth(u, v))).collect();
+    if seen.is_empty() { 0.0 } else { seen.iter().sum::<f64>() / (seen.len() as f64 * diagonal) }
 }
 
 /// What a tour shows of its loop at `u`, 0 to 1, and what of its good view: all of that at both ends.
@@ -415,7 +443,7 @@ pub fn across(scene: &Scene, fov: f64) -> Path {
 /// A loop around an object.
 fn around(subject: &Subject, view: View, still: Pose) -> Path {
     let center = subject.center();
-    let [yaw, pitch] = subject.side();
+    let [yaw, pitch] = subject.side;
     let side = |u: f64| [yaw - 360.0 * u, pitch - 6.0 + 6.0 * (u * TAU).cos()];
     // Near enough that from everywhere on the loop all of it is in the picture; 0.6 diagonals keep the eye out of the object at
     // any field of view.
@@ -446,13 +474,19 @@ fn lift(path: Path, ground: &Ground) -> Path {
 }
 
 /// By how many voxels at most the path comes nearer to the ground than half the clearance, looked at so often that
-/// it moves less than half a column between two looks; `Ground::near` answers for a whole column around.
+/// it moves less than half a column between two looks; `Ground::near` answers for a whole column around. Between two looks the path
+/// is taken to go down by half of what they differ, below the lower one.
 fn deficit(path: &Path, ground: &Ground) -> f64 {
     let keys = path.keyframes();
     let length: f64 = keys.windows(2).map(|k| (k[1].pose.eye - k[0].pose.eye).length()).sum();
-    let looks = (4.0 * length / f64::from(ground.cell)).clamp(1000.0, 200_000.0) as usize;
+    let looks = (4.0 * length / f64::from(ground.cell)).clamp(4000.0, 200_000.0) as usize;
     let floor = ground.clearance / 2.0;
-    path.poses(looks).iter().map(|p| ground.near(p.eye.x, p.eye.z) + floor - p.eye.y).fold(f64::NEG_INFINITY, f64::max)
+    let lacks = |p: &[Pose]| {
+        let [a, b] = [p[0].eye, p[1].eye];
+        let lowest = a.y.min(b.y) - (a.y - b.y).abs() / 2.0;
+        ground.near(a.x, a.z).max(ground.near(b.x, b.z)) + floor - lowest
+    };
+    path.poses(looks).windows(2).map(lacks).fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// A place over the middle of a scene, a tenth of its height above what stands there.
@@ -518,6 +552,11 @@ mod tests {
             .fold(f64::INFINITY, f64::min)
     }
 
+    fn random_height([x, z]: [u32; 2], rough: u32, seed: u32) -> u32 {
+        let cell = (x >> (2 * rough)).wrapping_mul(0x9e37_79b1) ^ (z >> (2 * rough)).wrapping_mul(0x85eb_ca77) ^ seed;
+        cell.wrapping_mul(0xc2b2_ae3d) >> 7
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
@@ -528,11 +567,7 @@ mod tests {
             fov in 10.0..150.0f64,
             repeat in (any::<bool>(), any::<bool>()),
         ) {
-            let noise = |x: u32, z: u32| {
-                let cell = (x >> (2 * rough)).wrapping_mul(0x9e37_79b1) ^ (z >> (2 * rough)).wrapping_mul(0x85eb_ca77) ^ seed;
-                cell.wrapping_mul(0xc2b2_ae3d) >> 7
-            };
-            let columns = terrain(nx, ny, nz, |x, z| noise(x, z) % (ny + 1));
+            let columns = terrain(nx, ny, nz, |x, z| random_height([x, z], rough, seed) % (ny + 1));
             let repeat = Repeat { x: repeat.0, z: repeat.1 };
             let scene = scene(columns);
             let path = tour(&scene, view(fov, [320, 200], repeat));
@@ -541,6 +576,16 @@ mod tests {
             let least = least_clearance(columns, &path, repeat);
             prop_assert!(least >= clearance, "{least} of {clearance}");
         }
+    }
+
+    #[test]
+    fn tour_keeps_its_clearance_between_the_looks_of_its_own_check() {
+        // Seen once in a random world: it goes down so steeply there that a look every 50th of a second missed the lowest place.
+        let (nx, ny, nz, seed) = (9, 1, 28, 28_904_522);
+        let columns = terrain(nx, ny, nz, |x, z| random_height([x, z], 1, seed) % (ny + 1));
+        let path = tour(&scene(columns.clone()), view(145.701_320_626_223_23, [320, 200], Repeat::default()));
+        let least = least_clearance(&columns, &path, Repeat::default());
+        assert!(least >= 1.0, "{least} of 1");
     }
 
     #[test]
@@ -649,6 +694,27 @@ mod tests {
                     assert!(x.abs() <= half.x * depth && y.abs() <= half.y * depth, "{pose:?}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_room_is_seen_from_its_open_side_and_all_else_from_the_front() {
+        // Walls on all sides but one, half as thick as the room is high.
+        for (open, turn) in [(2, 0.0), (1, -90.0), (0, 180.0), (3, 90.0)] {
+            let room = Columns::from_fn(40, 30, 40, |x, y, z| {
+                let walls = [z < 4, x > 35, z > 35, x < 4];
+                y < 3 || walls.iter().enumerate().any(|(side, &wall)| wall && side != open)
+            });
+            let yaw = Subject::new(&scene(room)).side[0];
+            assert_eq!((yaw - SIDE_OF_OBJECT[0] - turn).rem_euclid(360.0), 0.0, "open to {open}: {yaw}");
+        }
+        let figures = [
+            Columns::from_fn(20, 40, 20, |_, _, _| true),
+            Columns::from_fn(20, 40, 20, |x, y, z| (x + z) / 3 == y / 5),
+            Columns::from_fn(30, 30, 30, |x, y, z| [x, y, z].iter().map(|&v| v.abs_diff(15).pow(2)).sum::<u32>() < 200),
+        ];
+        for figure in figures {
+            assert_eq!(Subject::new(&scene(figure)).side, SIDE_OF_OBJECT);
         }
     }
 

@@ -101,7 +101,7 @@ impl AimArgs {
             tour::still(scene, view)
         } else {
             let subject = Subject::new(scene);
-            let [side, down] = subject.side();
+            let [side, down] = subject.side;
             let (yaw, pitch, distance) = match self.orbit {
                 Some(orbit) => (orbit.yaw, orbit.pitch, orbit.distance),
                 None if self.top => (yaw.unwrap_or(0.0), -90.0, None),
@@ -130,7 +130,7 @@ impl AimArgs {
             return None;
         }
         let subject = Subject::new(scene);
-        let [side, down] = subject.side();
+        let [side, down] = subject.side;
         let (yaw, pitch) = match self.orbit {
             Some(orbit) => (orbit.yaw, orbit.pitch),
             None => (side, if self.top { -90.0 } else { down }),
