@@ -46,6 +46,18 @@ impl Pose {
         let Pose { eye, yaw, pitch, roll, fov } = *self;
         Camera { eye, yaw, pitch, roll, fov, width, height }
     }
+
+    /// The pose that comes `times` as far after this one as this came after another.
+    #[must_use]
+    pub fn ahead(self, before: Pose, times: f64) -> Pose {
+        let turn = (self.yaw - before.yaw + 180.0).rem_euclid(360.0) - 180.0;
+        Pose {
+            eye: self.eye + (self.eye - before.eye) * times,
+            yaw: self.yaw + turn * times,
+            pitch: (self.pitch + (self.pitch - before.pitch) * times).clamp(-90.0, 90.0),
+            ..self
+        }
+    }
 }
 
 /// A pose and its time in seconds.

@@ -46,6 +46,20 @@ impl std::ops::AddAssign for StageTimes {
 }
 
 impl Stats {
+    /// What a frame owes whose tiles are not all there, in words; `None` where they are.
+    pub fn owed(&self) -> Option<String> {
+        let paging = &self.paging;
+        let pixels = (f64::from(self.width) * f64::from(self.height)).max(1.0);
+        (paging.tiles_missing > 0).then(|| {
+            format!(
+                "{} of {} tiles are on their way: pixels are {:.3} levels too coarse, in the mean",
+                paging.tiles_missing,
+                paging.tiles_wanted,
+                paging.debt as f64 / pixels
+            )
+        })
+    }
+
     /// Of two pictures that are put together: work and times are added, the rest is that of the other where this is empty.
     #[must_use]
     pub fn joined(mut self, other: Stats) -> Stats {
@@ -119,4 +133,19 @@ pub struct Stats {
     pub specialization: Vec<String>,
     /// What was left out, since the frame does not need it: [`crate::Feature`]s by name, with the reason.
     pub left_out: Vec<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_says_what_it_owes_until_its_tiles_are_there() {
+        let mut stats = Stats { width: 40, height: 25, ..Stats::default() };
+        (stats.paging.tiles_wanted, stats.paging.tiles_missing, stats.paging.debt) = (60, 7, 310);
+        let said = "7 of 60 tiles are on their way: pixels are 0.310 levels too coarse, in the mean";
+        assert_eq!(stats.owed().as_deref(), Some(said));
+        stats.paging.tiles_missing = 0;
+        assert_eq!(stats.owed(), None);
+    }
 }

@@ -419,13 +419,11 @@ impl GpuRenderer {
     }
 
     /// Whether frames count how many pixels show the tile of each slot, from the next one on.
-    #[cfg(not(target_arch = "wasm32"))]
     pub(crate) fn set_usage(&mut self, counts: bool) {
         self.counts_usage = counts && self.tables.is_paged();
     }
 
     /// What the latest frame that was collected counted, as [`crate::cpu::usage::usage`] has it; empty where it did not.
-    #[cfg(not(target_arch = "wasm32"))]
     pub(crate) fn usage(&self) -> &[u32] {
         &self.usage
     }
@@ -541,7 +539,6 @@ impl GpuRenderer {
     }
 
     /// The same for a frame that is decided already.
-    #[cfg(not(target_arch = "wasm32"))]
     pub(crate) fn submit_plan(&mut self, plan: FramePlan, outputs: Outputs) -> Result<()> {
         let (camera, options) = (plan.camera, plan.options);
         self.submit_from(Begin::Traverse, Some(plan), &camera, &options, outputs)

@@ -130,7 +130,6 @@ impl GpuRenderer {
     }
 
     /// The same for a frame that is decided already; whether its figures will come.
-    #[cfg(not(target_arch = "wasm32"))]
     pub(crate) fn draw_plan(&mut self, plan: FramePlan) -> Result<bool> {
         let (camera, options) = (plan.camera, plan.options);
         self.show(Some(plan), &camera, &options)

@@ -11,7 +11,7 @@ use crate::frame::projection::{Projection, face_cameras, join_faces};
 use crate::gpu::{GpuOptions, GpuRenderer, Kernel};
 use crate::render::paged::{self, Paged};
 use crate::world::World;
-use crate::world::pager::Patience;
+use crate::world::pager::{Pager, Patience};
 use crate::world::tables::Resident;
 use crate::world::tint::Tint;
 use planecast_encoder::{Scene, TileSource};
@@ -82,8 +82,8 @@ impl Renderer {
         tint: Option<Tint>,
         tell: &mut dyn FnMut(&str),
     ) -> Result<Renderer> {
-        let paged =
-            Paged::new(source, budget, patience, tint, tell, |resident, tell| paged::open(resident, device, tell))?;
+        let tables = Pager::new(source, budget, tint)?;
+        let paged = Paged::new(tables, patience, tell, |resident, tell| paged::open(resident, device, tell))?;
         Ok(Renderer::of(Backend::Paged(Box::new(paged))))
     }
 

@@ -1,6 +1,5 @@
 //! Whatever draws a scene into a window or a page.
 
-#[cfg(not(target_arch = "wasm32"))]
 use std::sync::Arc;
 
 use crate::cpu::renderer::{CpuRenderer, Outputs};
@@ -8,23 +7,21 @@ use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::picture::{Frame, Stats};
 use crate::gpu::present::{ByteOrder, Device, Shaded};
+use crate::render::paged::{Paged, Painter as PagedPainter};
 use crate::world::World;
-use crate::{Error, GpuOptions, GpuRenderer, Kernel, Result};
+use crate::world::fetch::Orders;
+use crate::world::pager::{Pager, Patience};
+use crate::world::parcel::Parcels;
+use crate::world::probe::Probe;
 #[cfg(not(target_arch = "wasm32"))]
-use crate::{
-    render::paged::{Paged, Painter as PagedPainter},
-    world::{
-        pager::Patience,
-        probe::Probe,
-        residency::{ResidencyOptions, Tiles},
-    },
-};
+use crate::world::residency::{ResidencyOptions, Tiles};
+use crate::world::tables::Resident;
+use crate::{Error, GpuOptions, GpuRenderer, Kernel, Result};
 
 enum Painter {
     Gpu(Box<GpuRenderer>),
     Cpu(CpuRenderer),
     Exact(CpuRenderer),
-    #[cfg(not(target_arch = "wasm32"))]
     Tiles(Box<Paged>),
 }
 
@@ -99,6 +96,31 @@ impl Drawer {
         draws: Draws,
         device: Option<&Device>,
     ) -> Result<Drawer> {
+        let budget = residency.budget(matches!(draws, Draws::Gpu(_)));
+        let tables = Pager::new(Arc::clone(&tiles.source), budget, tiles.tint.clone())?;
+        Drawer::of_tables(tables, residency.patience, draws, device)
+    }
+
+    /// For a world whose tiles others bring, as they are ordered; at most `budget` bytes of them are kept. Frames wait for none.
+    ///
+    /// # Errors
+    /// As [`Drawer::of_tiles`].
+    pub fn of_parcels(
+        parcels: Arc<Parcels>,
+        budget: u64,
+        draws: Draws,
+        device: Option<&Device>,
+    ) -> Result<(Drawer, Orders)> {
+        let (tables, orders) = Pager::of_parcels(parcels, budget)?;
+        Ok((Drawer::of_tables(tables, Patience::Deadline(0.0), draws, device)?, orders))
+    }
+
+    fn of_tables(
+        tables: (Pager, Resident),
+        patience: Patience,
+        draws: Draws,
+        device: Option<&Device>,
+    ) -> Result<Drawer> {
         let kernel = match draws {
             Draws::Cpu => None,
             Draws::Gpu(kernel) if kernel == Kernel::default() => Some(kernel),
@@ -116,9 +138,7 @@ impl Drawer {
                 Ok(PagedPainter::Gpu(Box::new(GpuRenderer::of_tables_on(resident, options, device)?)))
             }
         };
-        let (source, budget) = (Arc::clone(&tiles.source), residency.budget(kernel.is_some()));
-        let tell = &mut |what: &str| notices.push(what.to_owned());
-        let paged = Paged::new(source, budget, residency.patience, tiles.tint.clone(), tell, open)?;
+        let paged = Paged::new(tables, patience, &mut |what| notices.push(what.to_owned()), open)?;
         Ok(Drawer { painter: Painter::Tiles(Box::new(paged)), draws, notices })
     }
 
@@ -132,7 +152,6 @@ impl Drawer {
     }
 
     /// Looks into the tiles that are there, of a world that comes in tiles.
-    #[cfg(not(target_arch = "wasm32"))]
     pub fn probe(&self) -> Option<Probe<'_>> {
         match &self.painter {
             Painter::Tiles(paged) => Some(paged.probe()),
@@ -144,7 +163,6 @@ impl Drawer {
     fn gpu(&self) -> Option<&GpuRenderer> {
         match &self.painter {
             Painter::Gpu(gpu) => Some(gpu),
-            #[cfg(not(target_arch = "wasm32"))]
             Painter::Tiles(paged) => paged.gpu(),
             Painter::Cpu(_) | Painter::Exact(_) => None,
         }
@@ -153,7 +171,6 @@ impl Drawer {
     fn gpu_mut(&mut self) -> Option<&mut GpuRenderer> {
         match &mut self.painter {
             Painter::Gpu(gpu) => Some(gpu),
-            #[cfg(not(target_arch = "wasm32"))]
             Painter::Tiles(paged) => paged.gpu_mut(),
             Painter::Cpu(_) | Painter::Exact(_) => None,
         }
@@ -183,7 +200,6 @@ impl Drawer {
                 Drawn::Here(Box::new(cpu.render(camera, options, Outputs::default())?))
             }
             Painter::Exact(cpu) => Drawn::Here(Box::new(cpu.exact(camera, options, Outputs::default())?)),
-            #[cfg(not(target_arch = "wasm32"))]
             Painter::Tiles(paged) => {
                 let frame = paged.show(camera, soon, options, &mut |what| self.notices.push(what.to_owned()))?;
                 frame.map_or(Drawn::OnDevice, |frame| Drawn::Here(Box::new(frame)))
@@ -202,7 +218,6 @@ impl Drawer {
                 cpu.render(camera, options, outputs)
             }
             Painter::Exact(cpu) => cpu.exact(camera, options, outputs),
-            #[cfg(not(target_arch = "wasm32"))]
             Painter::Tiles(paged) => {
                 // A picture that is kept owes nothing.
                 let patience = paged.set_patience(Patience::Wait);
@@ -234,7 +249,6 @@ impl Drawer {
     pub fn figures(&mut self) -> Result<Option<Stats>> {
         match &mut self.painter {
             Painter::Gpu(gpu) => gpu.figures(),
-            #[cfg(not(target_arch = "wasm32"))]
             Painter::Tiles(paged) => paged.figures(),
             Painter::Cpu(_) | Painter::Exact(_) => Ok(None),
         }

@@ -6,7 +6,6 @@ pub mod annotate;
 pub mod device;
 #[cfg(feature = "gpu")]
 pub mod drawer;
-#[cfg(not(target_arch = "wasm32"))]
 mod paged;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod scan;

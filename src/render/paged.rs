@@ -3,8 +3,6 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use planecast_encoder::TileSource;
-
 use crate::cpu::renderer::{CpuRenderer, Outputs, check};
 use crate::cpu::usage;
 use crate::frame::camera::Camera;
@@ -14,14 +12,16 @@ use crate::frame::picture::Stats;
 use crate::frame::picture::{Frame, PagingStats};
 use crate::frame::plan::FramePlan;
 use crate::frame::projection::{Projection, face_cameras, join_faces};
+#[cfg(all(feature = "gpu", not(target_arch = "wasm32")))]
+use crate::gpu::GpuOptions;
 #[cfg(feature = "gpu")]
-use crate::gpu::{GpuOptions, GpuRenderer};
+use crate::gpu::GpuRenderer;
+#[cfg(not(target_arch = "wasm32"))]
 use crate::render::device::Device;
 use crate::world::pager::{Pager, Paging, Patience, Wanted, wanted};
 #[cfg(feature = "gpu")]
 use crate::world::probe::Probe;
 use crate::world::tables::Resident;
-use crate::world::tint::Tint;
 use crate::{Error, Result};
 
 /// By how much a view that the budget does not hold is drawn coarser at a time.
@@ -113,6 +113,7 @@ pub(super) struct Paged {
 }
 
 /// The device that draws, as `Device` has it.
+#[cfg(not(target_arch = "wasm32"))]
 pub(super) fn open(resident: &Arc<Resident>, device: Device, tell: &mut dyn FnMut(&str)) -> Result<Painter> {
     let cpu = || Painter::Cpu(Box::new(CpuRenderer::of_tables(Arc::clone(resident))));
     match device {
@@ -160,17 +161,14 @@ fn settle(paging: &mut PagingStats, usage: &[u32], missing: &[u32]) {
 impl Paged {
     /// `open` is told of the tables, and opens what draws from them.
     pub fn new(
-        source: Arc<dyn TileSource>,
-        budget: u64,
+        (pager, resident): (Pager, Resident),
         patience: Patience,
-        tint: Option<Tint>,
         tell: &mut dyn FnMut(&str),
         open: impl FnOnce(&Arc<Resident>, &mut dyn FnMut(&str)) -> Result<Painter>,
     ) -> Result<Paged> {
-        if source.has_matter() {
+        if pager.source().has_matter() {
             tell("translucent matter is left out: it needs the whole world, and this one comes in tiles");
         }
-        let (pager, resident) = Pager::new(source, budget, tint)?;
         let resident = Arc::new(resident);
         let painter = open(&resident, tell)?;
         drop(resident);
@@ -190,6 +188,7 @@ impl Paged {
         })
     }
 
+    #[cfg(not(target_arch = "wasm32"))]
     pub fn set_count(&mut self, count: bool) {
         self.count = count;
         #[cfg(feature = "gpu")]
@@ -200,6 +199,7 @@ impl Paged {
     }
 
     /// The name of what draws, for records.
+    #[cfg(not(target_arch = "wasm32"))]
     pub fn name(&self) -> &'static str {
         match self.painter {
             Painter::Cpu(_) => "cpu",
@@ -208,6 +208,7 @@ impl Paged {
         }
     }
 
+    #[cfg(not(target_arch = "wasm32"))]
     pub fn reuse(&mut self, frame: Option<Frame>) {
         match &mut self.painter {
             Painter::Cpu(cpu) => cpu.reuse(frame),

@@ -6,7 +6,6 @@ use planecast_encoder::About;
 
 use crate::film::path::Pose;
 use crate::frame::camera::Camera;
-use crate::frame::picture::Stats;
 
 /// Points that a scale bar takes at most.
 const BAR: f64 = 160.0;
@@ -123,20 +122,6 @@ pub fn place(about: &About, voxel: [u32; 3], level: u32, at: DVec3, value: Optio
         text += &format!("   value {value}");
     }
     text
-}
-
-/// What a frame owes whose tiles are not all there.
-pub fn owed(stats: &Stats) -> Option<String> {
-    let paging = &stats.paging;
-    let pixels = (f64::from(stats.width) * f64::from(stats.height)).max(1.0);
-    (paging.tiles_missing > 0).then(|| {
-        format!(
-            "{} of {} tiles are on their way: pixels are {:.3} levels too coarse, in the mean",
-            paging.tiles_missing,
-            paging.tiles_wanted,
-            paging.debt as f64 / pixels
-        )
-    })
 }
 
 /// Degrees clockwise from straight ahead to north, seen from above; None where nothing says where north is.
@@ -289,16 +274,6 @@ mod tests {
             affine: Some([[30.0, 0.0, 0.0, 5e5], [0.0, 0.0, -30.0, 4e6], [0.0, 10.0, 0.0, 200.0]]),
             ..About::new(Kind::Terrain, "GeoTIFF")
         }
-    }
-
-    #[test]
-    fn a_frame_says_what_it_owes_until_its_tiles_are_there() {
-        let mut stats = Stats { width: 40, height: 25, ..Stats::default() };
-        (stats.paging.tiles_wanted, stats.paging.tiles_missing, stats.paging.debt) = (60, 7, 310);
-        let said = "7 of 60 tiles are on their way: pixels are 0.310 levels too coarse, in the mean";
-        assert_eq!(owed(&stats).as_deref(), Some(said));
-        stats.paging.tiles_missing = 0;
-        assert_eq!(owed(&stats), None);
     }
 
     #[test]

@@ -1113,7 +1113,7 @@ impl App {
         if self.lost && self.world.is_some() && self.keeps.is_none() {
             lines.push("nothing but sky is in sight (Home leads back)".into());
         }
-        lines.extend(overlay::owed(&self.panel.stats));
+        lines.extend(self.panel.stats.owed());
         match &self.recorder {
             Recorder::Recording { t, .. } => lines.push(format!("recording, {t:.1} s (R stops)")),
             Recorder::Playing { t } => lines.push(format!("playing, {t:.1} s")),
@@ -1231,7 +1231,7 @@ impl App {
         if self.control.pose != before {
             self.linger = LINGER;
         }
-        self.soon = (self.control.pose != before && dt > 0.0).then(|| ahead(before, self.control.pose, AHEAD / dt));
+        self.soon = (self.control.pose != before && dt > 0.0).then(|| self.control.pose.ahead(before, AHEAD / dt));
         let seen = (self.control.pose, self.options, self.size);
         if self.seen != seen || self.preview.is_some() || self.dragging.is_some() {
             (self.seen, self.rests, self.refined) = (seen, now, false);
@@ -1488,17 +1488,6 @@ impl App {
 /// By what a world is known again.
 fn content(world: &Held) -> Option<&str> {
     world.whole().map(|world| world.content_hash.as_str()).filter(|content| !content.is_empty())
-}
-
-/// The pose that comes `times` as far after one as that came after another.
-fn ahead(before: Pose, now: Pose, times: f64) -> Pose {
-    let turn = |a: f64, b: f64| (b - a + 180.0).rem_euclid(360.0) - 180.0;
-    Pose {
-        eye: now.eye + (now.eye - before.eye) * times,
-        yaw: now.yaw + turn(before.yaw, now.yaw) * times,
-        pitch: (now.pitch + (now.pitch - before.pitch) * times).clamp(-90.0, 90.0),
-        ..now
-    }
 }
 
 /// egui for a window.

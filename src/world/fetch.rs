@@ -21,6 +21,7 @@ use planecast_encoder::{TileKey, TileSource};
 use crate::Result;
 use crate::clock::Clock;
 use crate::world::pager::Tile;
+use crate::world::parcel::{Parcels, unpack};
 
 /// Tiles that are unpacked and wait to be taken, at most.
 const READY: usize = 64;
@@ -214,6 +215,8 @@ pub struct Fetcher {
     shared: Arc<Shared>,
     clock: Clock,
     started: bool,
+    /// Of a world whose tiles others bring: see [`Fetcher::ordered`].
+    parcels: Option<Arc<Parcels>>,
     /// Works instead of threads: see [`Fetcher::by_hand`].
     #[cfg(test)]
     step: Option<Step>,
@@ -227,8 +230,25 @@ impl Fetcher {
             shared,
             clock,
             started: false,
+            parcels: None,
             #[cfg(test)]
             step: None,
+        }
+    }
+
+    /// Without threads: whoever has the orders brings the tiles. Nobody may wait for them.
+    pub fn ordered(parcels: Arc<Parcels>, clock: Clock) -> (Fetcher, Orders) {
+        let mut fetcher = Fetcher::new(parcels.clone(), clock);
+        (fetcher.started, fetcher.parcels) = (true, Some(parcels));
+        let orders = Orders { shared: Arc::clone(&fetcher.shared), out: HashMap::new(), n: 0 };
+        (fetcher, orders)
+    }
+
+    /// A tile that stays, at once.
+    pub fn read(&self, key: TileKey, heights: bool) -> Result<Option<Tile>> {
+        match &self.parcels {
+            Some(parcels) => parcels.coarse(key, heights),
+            None => Tile::read(&*self.shared.source, key, heights),
         }
     }
 
@@ -330,9 +350,50 @@ fn work(shared: &Shared) {
     }
 }
 
+/// Tiles that somebody else makes: a page's workers.
+pub struct Orders {
+    shared: Arc<Shared>,
+    /// Those that are on their way, by number.
+    out: HashMap<u32, Job>,
+    n: u32,
+}
+
+/// A tile to be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Order {
+    pub number: u32,
+    pub key: TileKey,
+    /// Whether it is to be heights.
+    pub heights: bool,
+}
+
+impl Orders {
+    /// The tile that is wanted most of those that are not on their way; `None` where none is, or too many wait to be taken.
+    pub fn take(&mut self) -> Option<Order> {
+        let job = self.shared.lock().take()?;
+        self.n += 1;
+        let order = Order { number: self.n, key: job.key, heights: job.heights };
+        self.out.insert(self.n, job);
+        Some(order)
+    }
+
+    /// What came of an order: a parcel, or why there is none. Numbers that are not out are passed over.
+    pub fn deliver(&mut self, number: u32, parcel: Result<&[u8]>) {
+        if let Some(job) = self.out.remove(&number) {
+            let tile = parcel.and_then(|bytes| unpack(&self.shared.source.name(), bytes));
+            self.shared.lock().answer(&job, tile);
+        }
+    }
+
+    /// How many are on their way.
+    pub fn out(&self) -> usize {
+        self.out.len()
+    }
+}
+
 /// What a test does while a frame waits for its tiles: it answers some, or lets the clock go on.
 #[cfg(test)]
-pub type Step = Box<dyn FnMut(&Hand) + Send>;
+pub type Step = Box<dyn FnMut(&Hand) + Send + Sync>;
 
 /// Does by hand what threads do: a test decides which jobs are taken, when they are answered and in which order.
 #[cfg(test)]

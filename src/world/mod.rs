@@ -4,7 +4,7 @@
 pub(crate) mod fetch;
 pub mod matter;
 pub mod pager;
-#[cfg(not(target_arch = "wasm32"))]
+pub mod parcel;
 pub mod preview;
 pub mod probe;
 #[cfg(not(target_arch = "wasm32"))]

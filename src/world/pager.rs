@@ -22,7 +22,8 @@ use rayon::prelude::*;
 
 use crate::clock::Clock;
 use crate::frame::plane_setup::Setup;
-use crate::world::fetch::{Fetcher, Tier};
+use crate::world::fetch::{Fetcher, Orders, Tier};
+use crate::world::parcel::Parcels;
 use crate::world::tables::{
     BLOCK_SHIFT, EMPTY, Pages, Paint, Resident, ResidentLevel, TILE_SHIFT, Table, is_height_field, widen,
 };
@@ -53,6 +54,9 @@ pub struct Wanted {
     pub key: TileKey,
     pub planes: u32,
 }
+
+/// Stand-ins that are made at once, and so in memory beside the tables.
+const STAND_INS: usize = 64;
 
 /// How often a frame that waits asks for a tile that cannot be had.
 const TRIES: u32 = 3;
@@ -94,6 +98,12 @@ impl Slot {
     fn beside(&self) -> u64 {
         let of = |part: &Range<u32>, bytes: u64| bytes * u64::from(part.end - part.start);
         of(&self.runs, 4) + of(&self.exposed, 8) + of(&self.colors, 4)
+    }
+
+    /// What is told of it where it is new in a slot.
+    fn change(&self, level: u32, slot: u32) -> Change {
+        let Slot { runs, exposed, colors, .. } = self.clone();
+        Change::Slot { level, slot, runs, exposed, colors }
     }
 }
 
@@ -347,6 +357,15 @@ impl Pager {
         Pager::with(Fetcher::new(source, Clock::start()), budget, tint)
     }
 
+    /// For a world whose tiles others bring, as they are ordered.
+    ///
+    /// # Errors
+    /// As [`Pager::new`].
+    pub fn of_parcels(parcels: Arc<Parcels>, budget: u64) -> Result<((Pager, Resident), Orders)> {
+        let (fetcher, orders) = Fetcher::ordered(parcels, Clock::start());
+        Ok((Pager::with(fetcher, budget, None)?, orders))
+    }
+
     /// The same for what a fetcher brings, by its clock.
     fn with(fetcher: Fetcher, budget: u64, tint: Option<Tint>) -> Result<(Pager, Resident)> {
         let (source, clock) = (Arc::clone(fetcher.source()), fetcher.clock().clone());
@@ -366,7 +385,7 @@ impl Pager {
             notices: Vec::new(),
             clock,
         };
-        let resident = pager.restart(heights, pager.least_shares())?;
+        let resident = pager.restart(heights)?;
         Ok((pager, resident))
     }
 
@@ -390,16 +409,16 @@ impl Pager {
         (0..self.source.levels()).map(|l| self.share(l, 1)).collect()
     }
 
-    /// Empty tables, but for the coarsest levels, with so many slots for each; with fewer, and runs, where one of those tiles shows
-    /// that heights do not do. What was asked for before is forgotten. On an error all is as it was.
-    fn restart(&mut self, heights: bool, shares: Vec<u64>) -> Result<Resident> {
-        let shares = std::mem::replace(&mut self.shares, shares);
+    /// Tables with the fewest slots, empty but for the coarsest levels; of runs where one of those tiles shows that heights do not
+    /// do. What was asked for before is forgotten. On an error all is as it was.
+    fn restart(&mut self, heights: bool) -> Result<Resident> {
+        let least = self.least_shares();
+        let shares = std::mem::replace(&mut self.shares, least);
         let old = (self.heights, shares, std::mem::take(&mut self.levels), std::mem::take(&mut self.changes));
         self.heights = heights;
         let mut made = self.begin();
         if let Ok(None) = made {
-            // Slots for runs are larger: what was enough for heights may be too much.
-            (self.heights, self.shares) = (false, self.least_shares());
+            self.heights = false;
             made = self.begin();
         }
         match made {
@@ -412,6 +431,52 @@ impl Pager {
                 Err(e)
             }
         }
+    }
+
+    /// Gives each level so many slots. What stands in them stays, as far as there is room: what was wanted last before the rest.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where memory is out; some levels have their slots then.
+    fn resize(&mut self, resident: &mut Resident, shares: &[u64], paging: &mut Paging) -> Result<()> {
+        let resized = (0..).zip(shares).try_for_each(|(l, &n)| self.resize_level(resident, l, n, paging));
+        // Slots that a level has more begin where another's ended.
+        self.changes = vec![Change::All];
+        for (level, slots) in (0..).zip(&self.levels) {
+            let held = (0..).zip(&slots.slots).filter_map(|(i, slot)| Some((i, slot.as_ref()?)));
+            self.changes.extend(held.map(|(slot, held)| held.change(level, slot)));
+        }
+        resized
+    }
+
+    fn resize_level(&mut self, resident: &mut Resident, level: u32, n: u64, paging: &mut Paging) -> Result<()> {
+        let l = level as usize;
+        let (old, new) = (self.levels[l].slots.len(), n as usize + 1);
+        let mut held: Vec<(u64, u32)> =
+            (0..).zip(&self.levels[l].slots).filter_map(|(i, slot)| Some((slot.as_ref()?.used, i))).collect();
+        held.sort_unstable();
+        held.truncate(held.len().saturating_sub(n as usize));
+        for (_, slot) in held {
+            self.evict(resident, level, slot);
+            paging.evicted += 1;
+        }
+        let slots = &mut self.levels[l];
+        let mut free = (1..old.min(new)).filter(|&i| slots.slots[i].is_none()).collect::<Vec<_>>().into_iter();
+        let mut moves = Vec::new();
+        for from in new..old {
+            if let Some(held) = slots.slots[from].take() {
+                let to = free.next().expect("no more are held than there are slots");
+                let pages = resident.levels[l].pages.as_mut().expect("a paged level has pages");
+                let place = pages.place(held.key.x, held.key.z);
+                pages.slots[place] = to as u32;
+                slots.slots[to] = Some(held);
+                moves.push((from, to));
+            }
+        }
+        resize_tables(&mut resident.levels[l], new, &moves)?;
+        slots.slots.resize(new, None);
+        slots.free = (1..new as u32).rev().filter(|&i| slots.slots[i as usize].is_none()).collect();
+        self.shares[l] = n;
+        Ok(())
     }
 
     /// The tables of [`Pager::restart`]; `None` where they are to be heights and a tile has others.
@@ -478,8 +543,8 @@ impl Pager {
                 (0..tz).flat_map(move |z| (0..tx).map(move |x| TileKey { level, x, z }))
             })
             .collect();
-        let (source, heights) = (&*self.source, self.heights);
-        let read: Vec<Result<Option<Tile>>> = pinned.par_iter().map(|&key| Tile::read(source, key, heights)).collect();
+        let (fetcher, heights) = (&self.fetcher, self.heights);
+        let read: Vec<Result<Option<Tile>>> = pinned.par_iter().map(|&key| fetcher.read(key, heights)).collect();
         for (key, tile) in pinned.into_iter().zip(read) {
             match tile? {
                 Some(tile) => _ = self.install(&mut resident, key, 0, &tile.tables, self.frame)?,
@@ -565,7 +630,7 @@ impl Pager {
         }
         if per_level.iter().zip(&self.levels).any(|(&n, level)| n >= level.slots.len()) {
             // More, since the next frames want more or less: a half where the budget holds that, else an eighth. With none to spare
-            // every other frame would begin anew.
+            // every other frame would copy all tables.
             let most = self.budget / self.tile_bytes();
             let shares = |more: fn(u64) -> u64| -> Vec<u64> {
                 let wanted = (0..).zip(&per_level).zip(&self.shares);
@@ -575,8 +640,7 @@ impl Pager {
             let Some(shares) = roomy.into_iter().find(|shares| shares.iter().sum::<u64>() <= most) else {
                 return Ok(None);
             };
-            *resident = self.restart(self.heights, shares)?;
-            return self.update(resident, wants, patience);
+            self.resize(resident, &shares, &mut paging)?;
         }
         let before = self.now();
         // What was asked for ahead of its frame. The rest is asked for when that is in its place, and not once more.
@@ -608,7 +672,7 @@ impl Pager {
                     self.arrive(resident, key, &tile, used, &mut paging)?;
                 }
                 Ok(None) => {
-                    *resident = self.restart(false, self.least_shares())?;
+                    *resident = self.restart(false)?;
                     return self.update(resident, wants, patience);
                 }
                 Err(e) => {
@@ -637,15 +701,13 @@ impl Pager {
         for w in empty {
             self.clear(resident, w.key);
         }
-        for w in &wanted {
-            if !self.lacks(resident, w.key) {
-                continue;
-            }
-            paging.missing += 1;
-            let start = self.now();
-            self.stand_in(resident, w.key, &mut paging)?;
-            paging.install_ms += self.now() - start;
+        let start = self.now();
+        let lacking: Vec<TileKey> = wanted.iter().map(|w| w.key).filter(|&key| self.lacks(resident, key)).collect();
+        paging.missing = lacking.len() as u32;
+        for keys in lacking.chunks(STAND_INS) {
+            self.stand_in(resident, keys, &mut paging)?;
         }
+        paging.install_ms += self.now() - start;
         paging.bytes_resident = self.bytes();
         if paging.bytes_resident > self.budget {
             self.shrink(resident, &mut paging);
@@ -839,7 +901,7 @@ impl Pager {
                 return Err(e);
             }
         };
-        let (runs, exposed, colors) = (held.runs.clone(), held.exposed.clone(), held.colors.clone());
+        self.changes.push(held.change(key.level, slot));
         if missing == 0 {
             self.beside.0 += held.beside();
             self.beside.1 += 1;
@@ -848,31 +910,41 @@ impl Pager {
         let pages = resident.levels[l].pages.as_mut().expect("a paged level has pages");
         let place = pages.place(key.x, key.z);
         pages.slots[place] = slot;
-        self.changes.push(Change::Slot { level: key.level, slot, runs, exposed, colors });
         self.changes.push(Change::Pages { level: key.level });
         Ok(Some(evicted))
     }
 
-    /// Makes what is shown instead of a tile from the nearest coarser one that is there.
-    fn stand_in(&mut self, resident: &mut Resident, key: TileKey, paging: &mut Paging) -> Result<()> {
+    /// Makes what is shown instead of tiles from the nearest coarser ones that are there.
+    fn stand_in(&mut self, resident: &mut Resident, keys: &[TileKey], paging: &mut Paging) -> Result<()> {
+        let (pager, tables) = (&*self, &*resident);
+        let make = |&key: &TileKey| {
+            let (k, from) = pager.nearest(tables, key)?;
+            Some((key, k, stand_in(tables, key, k, from)))
+        };
+        let made: Vec<_> = keys.par_iter().filter_map(make).collect();
+        for (key, k, tile) in made {
+            if let Some(evicted) = self.install(resident, key, k, &tile, self.frame)? {
+                paging.evicted += u32::from(evicted);
+            }
+        }
+        Ok(())
+    }
+
+    /// How many levels above a tile the nearest is that can stand in for it, and in which slot; `None` where what stands for the
+    /// tile is as good, or nothing is there.
+    fn nearest(&self, resident: &Resident, key: TileKey) -> Option<(u32, u32)> {
         let (mut above, mut k) = (key.parent(), 1);
         while above.level < self.levels.len() as u32 && self.lacks(resident, above) {
             (above, k) = (above.parent(), k + 1);
         }
-        if above.level >= self.levels.len() as u32 {
-            return Ok(());
-        }
-        // No better than what stands there already: that may be of a tile that has gone since.
-        if self.missing(resident, key).is_some_and(|stands| stands <= k) {
-            return Ok(());
+        // What stands there already may be of a tile that has gone since.
+        let stands = self.missing(resident, key).is_some_and(|stands| stands <= k);
+        if stands || above.level >= self.levels.len() as u32 {
+            return None;
         }
         // Of an empty tile only slot 0 is: at its place there may be one that is a whole window away.
-        let from = if self.held(resident, above).is_some() { Pager::slot_at(resident, above) } else { 0 };
-        let tile = stand_in(resident, key, k, from)?;
-        if let Some(evicted) = self.install(resident, key, k, &tile, self.frame)? {
-            paging.evicted += u32::from(evicted);
-        }
-        Ok(())
+        let slot = if self.held(resident, above).is_some() { Pager::slot_at(resident, above) } else { 0 };
+        Some((k, slot))
     }
 }
 
@@ -983,10 +1055,9 @@ fn put_starts(out: &mut [u32], [nx, nz]: [usize; 2], start: impl Fn(usize) -> u3
 }
 
 /// The tables of a tile, from one that is `k` levels coarser and stands in a slot.
-fn stand_in(resident: &Resident, key: TileKey, k: u32, slot: u32) -> Result<ResidentLevel> {
+fn stand_in(resident: &Resident, key: TileKey, k: u32, slot: u32) -> ResidentLevel {
     let level = &resident.levels[(key.level + k) as usize];
     let [nx, nz] = tile_size(resident.dims, key);
-    let n = nx as usize * nz as usize;
     let height = u32::from(u16::MAX) + 1;
     // A run as fine as this tile's: a coarse level's world may be higher than a fine one's.
     let finer = |run: Run| -> Option<Run> {
@@ -994,19 +1065,26 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32, slot: u32) -> Result<Resi
         let end = (u64::from(run.end()) << k).min(height.into());
         (first < end).then(|| Run::new(first as u16, (end - 1) as u16))
     };
-    let above = |ix: usize| -> usize {
-        let [x, z] = [key.x * TILE + ix as u32 % nx, key.z * TILE + ix as u32 / nx].map(|at| (at >> k) % TILE);
-        (slot << (2 * TILE_SHIFT) | z << TILE_SHIFT | x) as usize
-    };
+    // Columns that show the same one of the coarser tile are a cell: 2^`shift` along each axis.
+    let shift = k.min(TILE_SHIFT);
+    let [cells_x, cells_z] = [nx, nz].map(|n| n.div_ceil(1 << shift));
+    let above: Vec<usize> = (0..cells_z)
+        .flat_map(|z| (0..cells_x).map(move |x| [x, z]))
+        .map(|[x, z]| {
+            let [x, z] = [key.x * TILE + (x << shift), key.z * TILE + (z << shift)].map(|at| (at >> k) % TILE);
+            (slot << (2 * TILE_SHIFT) | z << TILE_SHIFT | x) as usize
+        })
+        .collect();
+    let size = [nx as usize, nz as usize];
     let table = match &level.table {
         Table::Heights(heights) => {
-            let finer = |ix: usize| (u32::from(heights[above(ix)]) << k).min(u16::MAX.into()) as u16;
-            Table::Heights((0..n).map(finer).collect())
+            let finer = |&ix: &usize| (u32::from(heights[ix]) << k).min(u16::MAX.into()) as u16;
+            Table::Heights(spread(&above.iter().map(finer).collect::<Vec<u16>>(), size, shift))
         }
         Table::Runs { .. } => {
-            let (mut columns, mut runs) = (Vec::with_capacity(n), vec![0u32]);
-            for ix in 0..n {
-                let mut of_column = level.column(above(ix)).filter_map(&finer);
+            let (mut columns, mut runs) = (Vec::with_capacity(above.len()), vec![0u32]);
+            for &ix in &above {
+                let mut of_column = level.column(ix).filter_map(&finer);
                 let Some(top) = of_column.next() else {
                     columns.push([EMPTY, 0]);
                     continue;
@@ -1023,35 +1101,36 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32, slot: u32) -> Result<Resi
                     columns.push([top.0, at as u32]);
                 }
             }
-            Table::Runs { columns, runs }
+            Table::Runs { columns: spread(&columns, size, shift), runs }
         }
     };
     let paint = match &level.paint {
         // What tints a world by height does so by level.
         Paint::None | Paint::Height { .. } => Paint::None,
-        Paint::Column { colors } => Paint::Column { colors: (0..n).map(|ix| colors[above(ix)]).collect() },
+        Paint::Column { colors } => {
+            let colors: Vec<u32> = above.iter().map(|&ix| colors[ix]).collect();
+            Paint::Column { colors: spread(&colors, size, shift) }
+        }
         Paint::Run { base, colors } => {
-            let (mut bases, mut all) = (Vec::with_capacity(n), Vec::new());
-            for ix in 0..n {
-                let above = above(ix);
+            let (mut bases, mut all) = (Vec::with_capacity(above.len()), Vec::new());
+            for &ix in &above {
                 bases.push(all.len() as u32);
                 // Runs that are cut off are the topmost.
-                let kept = level.column(above).zip(0usize..).filter(|&(run, _)| finer(run).is_some());
-                all.extend(kept.map(|(_, i)| colors[base[above] as usize + i]));
+                let kept = level.column(ix).zip(0usize..).filter(|&(run, _)| finer(run).is_some());
+                all.extend(kept.map(|(_, i)| colors[base[ix] as usize + i]));
             }
-            Paint::Run { base: bases, colors: all }
+            Paint::Run { base: spread(&bases, size, shift), colors: all }
         }
         // One colour a column, of its top.
         Paint::Top { starts, colors } => {
-            let color = |ix: usize| level.own_colors(starts, colors, above(ix)).0.last().copied().unwrap_or(0);
-            Paint::Column { colors: (0..n).map(color).collect() }
+            let color = |&ix: &usize| level.own_colors(starts, colors, ix).0.last().copied().unwrap_or(0);
+            Paint::Column { colors: spread(&above.iter().map(color).collect::<Vec<u32>>(), size, shift) }
         }
         Paint::Voxel { base, exposed, colors } => {
             // One colour for each exposed run: that of its highest voxel. A stand-in is seen for moments.
-            let (mut bases, mut runs, mut all) = (vec![0u32], Vec::new(), Vec::new());
-            for ix in 0..n {
-                let above = above(ix);
-                for &[run, at] in level.exposed(base, exposed, above) {
+            let (mut starts, mut of_cells, mut all) = (vec![0], Vec::new(), Vec::new());
+            for &ix in &above {
+                for &[run, at] in level.exposed(base, exposed, ix) {
                     let voxels = u32::from(Run(run).last() - Run(run).first());
                     let (first, last) = (u64::from(Run(run).first()) << k, u64::from(Run(run).last()) << k);
                     if first >= height.into() {
@@ -1059,26 +1138,49 @@ fn stand_in(resident: &Resident, key: TileKey, k: u32, slot: u32) -> Result<Resi
                     }
                     let last = last.min(u64::from(height) - 1);
                     for y in [first, last].into_iter().take(1 + usize::from(voxels > 0)) {
-                        runs.push([Run::new(y as u16, y as u16).0, all.len() as u32]);
+                        of_cells.push([Run::new(y as u16, y as u16).0, all.len() as u32]);
                         all.push(colors[(at + if y == first { 0 } else { voxels }) as usize]);
                     }
                 }
-                bases.push(runs.len() as u32);
+                starts.push(of_cells.len());
+            }
+            // Columns have exposed runs of their own; colours they share.
+            let (mut bases, mut runs) = (vec![0u32], Vec::new());
+            for z in 0..size[1] {
+                for x in 0..size[0] {
+                    let cell = (z >> shift) * cells_x as usize + (x >> shift);
+                    runs.extend_from_slice(&of_cells[starts[cell]..starts[cell + 1]]);
+                    bases.push(runs.len() as u32);
+                }
             }
             Paint::Voxel { base: bases, exposed: runs, colors: all }
         }
     };
     let mut tile = ResidentLevel { nx, nz, table, blocks: Vec::new(), bottom: 0, top: 0, paint, pages: None };
-    tile.blocks = blocks_of(&tile);
-    Ok(tile)
+    tile.blocks = blocks_of(&tile, shift);
+    tile
 }
 
-/// Height bounds of a tile's blocks.
-fn blocks_of(tile: &ResidentLevel) -> Vec<u32> {
+/// Values of cells as values of the columns that they consist of, 2^`shift` along each axis.
+fn spread<T: Copy>(cells: &[T], [nx, nz]: [usize; 2], shift: u32) -> Vec<T> {
+    let mut out = Vec::with_capacity(nx * nz);
+    for row in cells.chunks(nx.div_ceil(1 << shift)) {
+        let start = out.len();
+        out.extend((0..nx).map(|x| row[x >> shift]));
+        for _ in 1..(nz - start / nx).min(1 << shift) {
+            out.extend_from_within(start..start + nx);
+        }
+    }
+    out
+}
+
+/// Height bounds of the blocks of a tile of which 2^`shift` columns along each axis are the same.
+fn blocks_of(tile: &ResidentLevel, shift: u32) -> Vec<u32> {
     let [across, along] = [tile.nx, tile.nz].map(|n| n.div_ceil(1 << BLOCK_SHIFT) as usize);
     let mut blocks = vec![EMPTY; across * along];
-    for z in 0..tile.nz {
-        for x in 0..tile.nx {
+    let step = 1usize << shift.min(BLOCK_SHIFT);
+    for z in (0..tile.nz).step_by(step) {
+        for x in (0..tile.nx).step_by(step) {
             let ix = tile.index(x, z);
             let [top, _] = tile.entry(ix);
             if top == EMPTY {
@@ -1091,14 +1193,42 @@ fn blocks_of(tile: &ResidentLevel) -> Vec<u32> {
     blocks
 }
 
+/// Makes a level's tables of so many slots, after some have moved to another.
+fn resize_tables(level: &mut ResidentLevel, n: usize, moves: &[(usize, usize)]) -> Result<()> {
+    match &mut level.table {
+        Table::Heights(heights) => resize(heights, COLUMNS, n, moves)?,
+        Table::Runs { columns, .. } => resize(columns, COLUMNS, n, moves)?,
+    }
+    resize(&mut level.blocks, BLOCKS, n, moves)?;
+    match &mut level.paint {
+        Paint::None | Paint::Height { .. } => Ok(()),
+        Paint::Column { colors: table } | Paint::Run { base: table, .. } => resize(table, COLUMNS, n, moves),
+        Paint::Top { starts: table, .. } | Paint::Voxel { base: table, .. } => resize(table, STARTS, n, moves),
+    }
+}
+
+/// The same of one table, whose slots have so many elements.
+fn resize<T: Zeroable + Copy>(table: &mut Vec<T>, of_slot: usize, n: usize, moves: &[(usize, usize)]) -> Result<()> {
+    for &(from, to) in moves {
+        table.copy_within(from * of_slot..(from + 1) * of_slot, to * of_slot);
+    }
+    let more = (n * of_slot).saturating_sub(table.len());
+    table.try_reserve_exact(more).map_err(|_| no_memory::<T>(more))?;
+    table.resize(n * of_slot, T::zeroed());
+    table.shrink_to_fit();
+    Ok(())
+}
+
 /// Makes a table as long as its parts are.
 fn grow<T: Zeroable + Clone>(table: &mut Vec<T>, n: u32) -> Result<()> {
-    let more = (n as usize).saturating_sub(table.len());
-    table
-        .try_reserve(more)
-        .map_err(|_| Error::Limit(format!("no memory for {} MiB of tiles more", (more * size_of::<T>()) >> 20)))?;
-    table.resize(table.len() + more, T::zeroed());
+    let n = table.len().max(n as usize);
+    table.try_reserve(n - table.len()).map_err(|_| no_memory::<T>(n - table.len()))?;
+    table.resize(n, T::zeroed());
     Ok(())
+}
+
+fn no_memory<T>(n: usize) -> Error {
+    Error::Limit(format!("no memory for {} MiB of tiles more", (n * size_of::<T>()) >> 20))
 }
 
 #[cfg(test)]

@@ -261,9 +261,7 @@ pub mod file;
 pub mod forms;
 pub(crate) mod lists;
 pub mod metadata;
-#[cfg(not(target_arch = "wasm32"))]
 pub mod ranged;
-#[cfg(not(target_arch = "wasm32"))]
 pub mod sheets;
 pub mod write;
 

@@ -212,7 +212,7 @@ impl Sheets {
                 return Ok(source);
             }
         }
-        let url = crate::store::remote::is_url(file);
+        let url = crate::store::is_url(file);
         let path = if url { file.to_owned() } else { self.path.parent().unwrap_or(Path::new("")).join(file) };
         let source = (self.open)(&path)?;
         let mut files = lock();

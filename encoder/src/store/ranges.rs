@@ -1,11 +1,11 @@
 //! Bytes that are read by ranges, from several threads.
 
-use std::fs::File;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::store::scratch::read_at;
-use crate::{Error, Result};
+use crate::Result;
+#[cfg(not(target_arch = "wasm32"))]
+pub use here::Here;
 
 /// A file of which ranges can be read, here or elsewhere.
 pub trait Ranges: Send + Sync {
@@ -25,40 +25,50 @@ pub trait Ranges: Send + Sync {
     fn read(&self, range: Range<u64>) -> Result<Vec<u8>>;
 }
 
-/// A file here, read at its places: memory holds what was read last, and no map of it.
-pub struct Here {
-    path: PathBuf,
-    file: File,
-    len: u64,
-}
+#[cfg(not(target_arch = "wasm32"))]
+mod here {
+    use std::fs::File;
+    use std::path::PathBuf;
 
-impl Here {
-    pub fn open(path: &Path) -> Result<Here> {
-        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        let meta = file.metadata().map_err(|e| Error::io(path, "read", e))?;
-        if !meta.is_file() {
-            return Err(Error::format(path, "not a regular file, a .pcast scene was expected"));
+    use super::*;
+    use crate::Error;
+    use crate::store::scratch::read_at;
+
+    /// A file here, read at its places: memory holds what was read last, and no map of it.
+    pub struct Here {
+        path: PathBuf,
+        file: File,
+        len: u64,
+    }
+
+    impl Here {
+        pub fn open(path: &Path) -> Result<Here> {
+            let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+            let meta = file.metadata().map_err(|e| Error::io(path, "read", e))?;
+            if !meta.is_file() {
+                return Err(Error::format(path, "not a regular file, a .pcast scene was expected"));
+            }
+            Ok(Here { path: path.into(), file, len: meta.len() })
         }
-        Ok(Here { path: path.into(), file, len: meta.len() })
-    }
-}
-
-impl Ranges for Here {
-    fn name(&self) -> &Path {
-        &self.path
     }
 
-    fn size(&self) -> u64 {
-        self.len
-    }
+    impl Ranges for Here {
+        fn name(&self) -> &Path {
+            &self.path
+        }
 
-    fn near(&self) -> bool {
-        true
-    }
+        fn size(&self) -> u64 {
+            self.len
+        }
 
-    fn read(&self, range: Range<u64>) -> Result<Vec<u8>> {
-        let mut bytes = vec![0; (range.end - range.start) as usize];
-        read_at(&self.file, &mut bytes, range.start).map_err(|e| Error::io(&self.path, "read", e))?;
-        Ok(bytes)
+        fn near(&self) -> bool {
+            true
+        }
+
+        fn read(&self, range: Range<u64>) -> Result<Vec<u8>> {
+            let mut bytes = vec![0; (range.end - range.start) as usize];
+            read_at(&self.file, &mut bytes, range.start).map_err(|e| Error::io(&self.path, "read", e))?;
+            Ok(bytes)
+        }
     }
 }

@@ -32,13 +32,7 @@ use crate::model::pieces::Pieces;
 use crate::source::ReadOptions;
 use crate::store::ranges::Ranges;
 
-const SCHEMES: [&str; 11] = ["s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https", "file"];
-
-/// Whether a name is the URL of an object.
-pub fn is_url(path: &Path) -> bool {
-    let scheme = path.to_str().and_then(|text| text.split_once("://"));
-    scheme.is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
-}
+pub use crate::store::is_url;
 
 #[cfg(not(feature = "object-store"))]
 fn without<T>(url: &Path) -> Result<T> {
