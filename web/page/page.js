@@ -1,7 +1,8 @@
 // Events, files and words of the page; scene, camera and kernels are in planecast_web.wasm, and once more in worker.js, where
 // files are read.
 //
-// Address: ?scene=URL opens that file in place of the demo; ?device=cpu draws without WebGPU, ?device=gpu with it even where it is
+// Address: ?scene=URL opens that file in place of the demo, or a world that is made: ?scene=procedural:hills%3Fsize=inf; ?tiles has a
+// scene come in tiles, as large ones do, and ?memory=MB says how much of those is kept; ?device=cpu draws without WebGPU, ?device=gpu with it even where it is
 // software; ?size=WxH fixes the picture. #eye=X,Y,Z&yaw=D&pitch=D&roll=D&mode=NAME is the view, and follows it.
 import init, { Page } from "./planecast_web.js";
 
@@ -21,6 +22,8 @@ let program = null;
 let opened = 0;
 // The picture of the present scene has been seen.
 let seen = false;
+// Brings the tiles of the scene that is open, where it comes in such.
+let crew = null;
 // Bytes of the file that are here, and of it; and what was here at the first picture.
 let fetched = null;
 let fetchedAtFirst = null;
@@ -145,26 +148,81 @@ class Reads {
   end() { this.worker.terminate(); }
 }
 
+/** Workers that bring the tiles of a world as frames want them. */
+class Crew {
+  constructor(name, first) {
+    [this.name, this.workers, this.idle, this.ended] = [name, [first], [first], false];
+  }
+
+  /** More of them, once there is a picture: each reads what is known of the world for itself. */
+  async grow(n) {
+    while (this.workers.length < n && !this.ended) {
+      const worker = new Reads();
+      this.workers.push(worker);
+      try {
+        await worker.ask("tiles", this.name);
+        this.idle.push(worker);
+      } catch {
+        // The others go on.
+        worker.end();
+      }
+    }
+  }
+
+  /** Gives whoever is idle the tile that is wanted most. */
+  work() {
+    while (this.idle.length > 0 && !this.ended) {
+      const [number, level, x, z, heights] = page.order();
+      if (number === undefined) return;
+      const worker = this.idle.pop();
+      worker.ask("tile", level, x, z, heights === 1).then(
+        (parcel) => { if (!this.ended) page.deliver(number, parcel); },
+        (error) => { if (!this.ended) page.refuse(number, error.message); },
+      ).finally(() => { this.idle.push(worker); }).catch((error) => wrong("tiles", error));
+    }
+  }
+
+  end() {
+    this.ended = true;
+    for (const worker of this.workers) worker.end();
+  }
+}
+
 /** Opens a file by what `steps` does with whoever reads, and says what that has to say in the end; false where it failed,
  * which is said. */
 async function opening(name, steps) {
   if (broken) return false;
   const turn = ++opened;
   const reads = new Reads();
-  const show = (bytes, level, goesOn) => {
+  const still = () => {
     if (turn !== opened) throw new Error("another file was opened");
+    crew?.end();
+    crew = null;
+  };
+  const show = (bytes, level, goesOn) => {
+    still();
     scene = { name, ...JSON.parse(page.load(name, bytes, level, goesOn)) };
     seen = false;
   };
+  let kept = false;
+  // The same of a world in tiles, which whoever reads goes on to bring.
+  const showTiles = (facts, address) => {
+    still();
+    crew = new Crew(address, reads);
+    kept = true;
+    const bytes = 1e6 * (Number(asked.get("memory")) || 256);
+    scene = { name, ...JSON.parse(page.load_tiles(facts, bytes)) };
+    seen = false;
+  };
   try {
-    const words = await steps(reads, show);
+    const words = await steps(reads, show, showTiles);
     if (turn === opened) say(words ?? "", FACT);
     return true;
   } catch (error) {
     if (turn === opened) wrong(name, error);
     return false;
   } finally {
-    reads.end();
+    if (!kept) reads.end();
   }
 }
 
@@ -216,11 +274,28 @@ async function fetchRange(url, from, to) {
 /** Bytes that a server says a file has, in its answer to a range. */
 const lengthIn = (answer) => Number(answer.headers.get("content-range")?.match(/\/(\d+)$/)?.[1]) || undefined;
 
-/** Opens a file by its address: scene files in ranges of bytes, coarse levels first, where the server gives such. */
+/** Scene files of more bytes than this come in tiles. */
+const TILES_FROM = 64e6;
+
+/** Opens a file by its address: scene files in ranges of bytes, coarse levels first, where the server gives such; large ones,
+ * worlds of several and those that are made in tiles, as frames want them. */
 async function loadFrom(url, view = "") {
   const name = nameOf(url);
-  return opening(name, async (reads, show) => {
+  return opening(name, async (reads, show, showTiles) => {
     say(`${url}: asking for it`);
+    const inTiles = async () => {
+      const made = url.startsWith("procedural:");
+      const address = made ? url : new URL(url, location.href).href;
+      await reads.ask("tiles", address);
+      const facts = await reads.ask("facts");
+      fetched = { bytes: await reads.ask("fetched"), of: undefined, ranges: !made };
+      showTiles(facts, address);
+      goToView(view);
+      const mine = crew;
+      // One core is left for the page.
+      untilSeen().then(() => mine.grow(Math.max(1, Math.min(4, (navigator.hardwareConcurrency || 2) - 1))));
+    };
+    if (/^procedural:|\.pworld($|[?#])/i.test(url)) return inTiles();
     const first = await fetch(url, { headers: { Range: `bytes=0-${await reads.ask("head") - 1}` } });
     let head = await bytesOf(first, url);
     const isScene = [0x89, 0x50, 0x43, 0x56].every((byte, i) => head[i] === byte);
@@ -232,6 +307,7 @@ async function loadFrom(url, view = "") {
       goToView(view);
       return why && `${url}: ${why}`;
     }
+    if (asked.has("tiles") || lengthIn(first) > TILES_FROM) return inTiles();
     await reads.ask("open", name, head, lengthIn(first));
     let state = await reads.ask("state");
     let shown = null;
@@ -263,7 +339,7 @@ async function loadFrom(url, view = "") {
   });
 }
 
-const nameOf = (url) => decodeURIComponent(new URL(url, location.href).pathname.split("/").pop() || "scene");
+const nameOf = (url) => (url.startsWith("procedural:") ? url : decodeURIComponent(new URL(url, location.href).pathname.split("/").pop() || "scene"));
 
 /** Keys that a gamepad holds. */
 const padKeys = new Set();
@@ -298,6 +374,7 @@ function tick(now) {
   try {
     fit(now);
     gamepad(Math.max(0, Math.min(0.25, seconds)));
+    crew?.work();
     if (page.frame(Math.max(0, seconds))) {
       shown.push(now);
       if (!gpu) paint();
@@ -323,6 +400,11 @@ function tick(now) {
     element("mode").textContent = JSON.parse(page.pose()).mode;
     if (element("more").open) figures();
   }
+  if (crew) {
+    element("owed").textContent = page.owed();
+    const notices = page.notices();
+    if (notices) say(notices, FACT);
+  }
   if (scene && seen && !asked.has("size")) keepView(now);
 }
 
@@ -344,6 +426,7 @@ function figures() {
     `${gpu ? adapter : "cpu"}, ${canvas.width} × ${canvas.height}, ${shown.length} frames/s`,
     `ms: ${stages}`,
     `${f.planes} planes, ${f.columns_visited} columns, ${f.runs_visited} runs`,
+    ...(crew ? [`${f.paging.tiles_wanted} tiles wanted, ${f.paging.tiles_missing} missing, ${(f.paging.bytes_resident / 1e6).toFixed(0)} MB of tiles`] : []),
     `eye ${p.eye.map((v) => v.toFixed(1)).join(", ")}, yaw ${p.yaw.toFixed(0)}°, pitch ${p.pitch.toFixed(0)}°`,
     `${p.mode}, ${p.speed.toFixed(1)} voxels/s`,
   ].join("\n");

@@ -3,6 +3,7 @@ import init, * as planecast from "./planecast_web.js";
 
 let ready = null;
 let reader = null;
+let tiles = null;
 
 const does = {
   start: (module) => { ready = init({ module_or_path: module }); },
@@ -14,6 +15,11 @@ const does = {
   // The finest level that is there, and what comes next.
   state: () => ({ level: reader.level(), progress: [...reader.progress()], wanted: [...reader.wanted()] }),
   scene: () => reader.scene(),
+  // Of a world that comes in tiles: what is known of it, and a tile.
+  tiles: (name) => { tiles?.free(); tiles = new planecast.Tiles(name); },
+  facts: () => tiles.facts(),
+  tile: (level, x, z, heights) => tiles.tile(level, x, z, heights),
+  fetched: () => planecast.Tiles.fetched(),
 };
 
 onmessage = async ({ data: [id, what, ...given] }) => {

@@ -1,10 +1,13 @@
 //! The page's half of planecast: what JavaScript calls. Scene, controls and kernels are those of the window.
 //!
 //! JavaScript has the events, the files and the words; this has the scene and the camera. Files are read in a worker, by an
-//! instance of its own ([`Reader`], [`read`]): what other crates' readers do there ends neither the scene nor the page.
-//! Nothing here waits: frames are
-//! sent to the GPU and shown, figures arrive later. Without WebGPU the CPU draws, one thread, and JavaScript shows the
-//! pixels.
+//! instance of its own ([`Reader`], [`read`]): what other crates' readers do there ends neither the scene nor the page. Tiles of
+//! worlds that are too large for that are read or made in workers too, as frames want them ([`distant::Tiles`]).
+//!
+//! Nothing here waits: frames are sent to the GPU and shown, figures arrive later. Without WebGPU the CPU draws, one thread, and
+//! JavaScript shows the pixels.
+
+mod distant;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,10 +22,11 @@ use planecast::frame::picture::Stats;
 use planecast::gpu::present::{ByteOrder, Device, Presenter};
 use planecast::render::drawer::{Drawer, Drawn, Draws};
 use planecast::view::control::{Control, Ground, Mode};
+use planecast::world::parcel::{Orders, Parcels};
 use planecast::{CpuRenderer, Kernel, Options, Outputs};
 use planecast_encoder::format::arriving;
 use planecast_encoder::format::write;
-use planecast_encoder::{ArrivingFile, Scene};
+use planecast_encoder::{ArrivingFile, Error, Scene, TileSource};
 use serde_json::json;
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
@@ -31,6 +35,12 @@ use web_sys::HtmlCanvasElement;
 const FOV: f64 = 60.0;
 
 const KERNEL: Kernel = Kernel::Workgroup;
+
+/// Seconds that tiles are ordered ahead, as far as it can be told where the camera will be.
+const AHEAD: f64 = 0.25;
+
+/// Seconds after which a frame that lacks tiles is drawn once more, so that those that failed are asked for again.
+const AGAIN: f64 = 0.3;
 
 /// Pixels a side at most: what every WebGPU device can show.
 const SIDE: u32 = 8192;
@@ -56,7 +66,7 @@ struct Shows {
 #[wasm_bindgen]
 pub struct Page {
     shows: Option<Shows>,
-    world: Option<Arc<World>>,
+    held: Option<Held>,
     drawer: Option<Drawer>,
     control: Control,
     /// The level of the file that is level 0 of the scene: finer ones are on their way.
@@ -67,8 +77,40 @@ pub struct Page {
     /// The CPU's picture, RGBA.
     pixels: Vec<u8>,
     stats: Stats,
+    /// Seconds since a frame was drawn.
+    since: f64,
     /// The picture that is read back for [`Page::picture`].
     reading: Option<Reading>,
+}
+
+/// The scene as it is kept.
+enum Held {
+    Whole(Arc<World>),
+    Tiles(Arc<Parcels>, Orders),
+}
+
+impl Held {
+    fn good_view(&self, view: View) -> Pose {
+        match self {
+            Held::Whole(world) => tour::still(&world.scene, view),
+            Held::Tiles(parcels, _) => parcels.preview.pose(tour::still(&parcels.preview.scene, view)),
+        }
+    }
+
+    /// The middle of what there is, and whether that is land.
+    fn subject(&self) -> (DVec3, bool) {
+        match self {
+            Held::Whole(world) => {
+                let subject = tour::Subject::new(&world.scene);
+                (subject.center(), subject.terrain)
+            }
+            Held::Tiles(parcels, _) => {
+                let preview = &parcels.preview;
+                let subject = tour::Subject::new(&preview.scene);
+                (preview.origin + subject.center() * preview.scale, subject.terrain)
+            }
+        }
+    }
 }
 
 struct Reading {
@@ -106,7 +148,7 @@ impl Page {
         let pose = Pose { eye: DVec3::ZERO, yaw: 0.0, pitch: 0.0, roll: 0.0, fov: FOV };
         Ok(Page {
             shows,
-            world: None,
+            held: None,
             drawer: None,
             control: Control::new(pose, [1; 3]),
             level: 0,
@@ -115,6 +157,7 @@ impl Page {
             drawn: None,
             pixels: Vec::new(),
             stats: Stats::default(),
+            since: 0.0,
             reading: None,
         })
     }
@@ -124,38 +167,95 @@ impl Page {
     /// where it is. What it is, as JSON.
     pub fn load(&mut self, name: &str, bytes: Vec<u8>, level: u32, goes_on: bool) -> Result<String, JsValue> {
         let world = Arc::new(World::from_bytes(Path::new(name), bytes).map_err(failed)?);
-        let (draws, device) = match &self.shows {
-            Some(shows) => (Draws::Gpu(KERNEL), Some(&shows.device)),
-            None => (Draws::Cpu, None),
-        };
         // First the old one's memory.
-        (self.drawer, self.world) = (None, None);
-        let mut drawer = Drawer::new(&world, draws, device).map_err(failed)?;
-        if let Some(shows) = &self.shows {
-            drawer.set_order(shows.presenter.order());
-        }
-        if goes_on {
-            self.control.scale(f64::from(self.level).exp2() / f64::from(level).exp2());
-        } else {
-            let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
-            self.control = Control::new(tour::still(&world.scene, view), world.resident.dims);
-            // What the file says of its kind does not come this far: its shape tells.
-            let subject = tour::Subject::new(&world.scene);
-            self.control.target = subject.center();
-            self.control.set_mode(if subject.terrain { Mode::Solid } else { Mode::Orbit });
-        }
-        self.level = level;
-        self.drawer = Some(drawer);
-        self.drawn = None;
-        self.stats = Stats::default();
+        (self.drawer, self.held) = (None, None);
+        let (draws, device) = self.draws();
+        let drawer = Drawer::new(&world, draws, device).map_err(failed)?;
         let facts = json!({
             "dims": world.resident.dims,
             "levels": world.resident.levels.len(),
             "bytes": world.resident.bytes(),
             "level": level,
         });
-        self.world = Some(world);
+        if goes_on {
+            self.control.scale(f64::from(self.level).exp2() / f64::from(level).exp2());
+        }
+        let dims = world.resident.dims;
+        self.hold(Held::Whole(world), drawer, dims, level, !goes_on);
         Ok(facts.to_string())
+    }
+
+    /// Goes into a world whose tiles come as they are ordered, from what [`distant::Tiles::facts`] says; at most so many bytes of
+    /// tiles are kept. What it is, as JSON.
+    pub fn load_tiles(&mut self, facts: &[u8], bytes: f64) -> Result<String, JsValue> {
+        let parcels = Arc::new(Parcels::open(facts).map_err(failed)?);
+        (self.drawer, self.held) = (None, None);
+        (self.options.repeat.x, self.options.repeat.z) = (false, false);
+        let (draws, device) = self.draws();
+        let (drawer, orders) = Drawer::of_parcels(Arc::clone(&parcels), bytes as u64, draws, device).map_err(failed)?;
+        let dims = parcels.dims();
+        let facts = json!({"dims": dims, "levels": parcels.levels(), "bytes": bytes, "level": 0, "tiles": true});
+        self.hold(Held::Tiles(parcels, orders), drawer, dims, 0, true);
+        Ok(facts.to_string())
+    }
+
+    fn draws(&self) -> (Draws, Option<&Device>) {
+        match &self.shows {
+            Some(shows) => (Draws::Gpu(KERNEL), Some(&shows.device)),
+            None => (Draws::Cpu, None),
+        }
+    }
+
+    /// Takes a scene and what draws it; the camera goes to its good view where it is `new`.
+    fn hold(&mut self, held: Held, mut drawer: Drawer, dims: [u32; 3], level: u32, new: bool) {
+        if let Some(shows) = &self.shows {
+            drawer.set_order(shows.presenter.order());
+        }
+        if new {
+            let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
+            self.control = Control::new(held.good_view(view), dims);
+            // What the file says of its kind does not come this far: its shape tells.
+            let (center, terrain) = held.subject();
+            self.control.target = center;
+            self.control.set_mode(if terrain { Mode::Solid } else { Mode::Orbit });
+        }
+        self.level = level;
+        (self.drawer, self.held) = (Some(drawer), Some(held));
+        self.drawn = None;
+        self.stats = Stats::default();
+    }
+
+    /// The tile to be fetched or made next: number of the order, level, x, z, and whether as heights (1); nothing where none is.
+    pub fn order(&mut self) -> Vec<u32> {
+        let Some(Held::Tiles(_, orders)) = &mut self.held else { return Vec::new() };
+        let order = orders.take();
+        order.map_or(Vec::new(), |o| vec![o.number, o.key.level, o.key.x, o.key.z, u32::from(o.heights)])
+    }
+
+    /// Takes the parcel of an order.
+    pub fn deliver(&mut self, number: u32, parcel: &[u8]) {
+        if let Some(Held::Tiles(_, orders)) = &mut self.held {
+            orders.deliver(number, Ok(parcel));
+            self.drawn = None;
+        }
+    }
+
+    /// Takes the news that an order came to nothing.
+    pub fn refuse(&mut self, number: u32, why: &str) {
+        if let Some(Held::Tiles(_, orders)) = &mut self.held {
+            orders.deliver(number, Err(planecast::Error::Scene(Error::Limit(why.into()))));
+            self.drawn = None;
+        }
+    }
+
+    /// Tiles that are on their way, and how wrong the picture is without them; nothing where it is right.
+    pub fn owed(&self) -> String {
+        self.stats.owed().unwrap_or_default()
+    }
+
+    /// What is to be said since this was asked last, in lines.
+    pub fn notices(&mut self) -> String {
+        self.drawer.as_mut().map(Drawer::take_notices).unwrap_or_default().join("\n")
     }
 
     /// A key went down or up, by its `code`; whether it means anything here.
@@ -170,10 +270,10 @@ impl Page {
             }
             "KeyZ" if down => self.control.pose.roll = 0.0,
             "Home" if down => {
-                if let Some(world) = &self.world {
+                if let Some(held) = &self.held {
                     let view = View { fov: FOV, size: self.size, repeat: self.options.repeat };
-                    self.control.target = tour::Subject::new(&world.scene).center();
-                    self.control.place(tour::still(&world.scene, view));
+                    self.control.target = held.subject().0;
+                    self.control.place(held.good_view(view));
                 }
             }
             _ => return false,
@@ -220,7 +320,6 @@ impl Page {
 
     /// Flies to what shows at a pixel of the canvas; false where that is the sky.
     pub fn fly_to(&mut self, x: f64, y: f64) -> bool {
-        let Some(world) = &self.world else { return false };
         let camera = self.control.pose.camera(self.size);
         let ray = camera.ray(&camera.basis(), x, y).normalize_or_zero();
         let eye = self.control.pose.eye;
@@ -228,15 +327,25 @@ impl Page {
             return false;
         }
         let repeats = [self.options.repeat.x, self.options.repeat.z];
-        let hit = exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, 1e7);
-        if let Some(hit) = &hit {
-            self.control.fly_to(ray, hit.t);
+        let met = match &self.held {
+            Some(Held::Whole(world)) => {
+                exact::cast(&world.scene.levels[0].solid, repeats, eye, ray, 1e7).map(|hit| hit.t)
+            }
+            Some(Held::Tiles(..)) => {
+                let probe = self.drawer.as_ref().and_then(Drawer::probe);
+                probe.and_then(|probe| probe.cast(eye, ray, 1e7)).map(|met| met.t)
+            }
+            None => None,
+        };
+        if let Some(t) = met {
+            self.control.fly_to(ray, t);
         }
-        hit.is_some()
+        met.is_some()
     }
 
-    /// Tiles the world without end, or not.
+    /// Tiles the world without end, or not; a world that comes in tiles does not repeat.
     pub fn repeat(&mut self, on: bool) {
+        let on = on && !matches!(self.held, Some(Held::Tiles(..)));
         (self.options.repeat.x, self.options.repeat.z) = (on, on);
     }
 
@@ -259,18 +368,32 @@ impl Page {
 
     /// Lets `seconds` pass, draws and shows. Whether anything was drawn, as the view had changed.
     pub fn frame(&mut self, seconds: f64) -> Result<bool, JsValue> {
-        let (Some(drawer), Some(world)) = (&mut self.drawer, &self.world) else { return Ok(false) };
-        self.control.step(seconds, &Ground::new(&world.scene.levels[0].solid, self.options.repeat));
-        let job = (self.control.pose, self.size, self.options);
+        let (Some(drawer), Some(held)) = (&mut self.drawer, &self.held) else { return Ok(false) };
+        let before = self.control.pose;
+        match held {
+            Held::Whole(world) => {
+                self.control.step(seconds, &Ground::new(&world.scene.levels[0].solid, self.options.repeat));
+            }
+            Held::Tiles(parcels, _) => {
+                let probe = drawer.probe().expect("it draws tiles");
+                self.control.step(seconds, &Ground::of_voxels(parcels.dims(), &|x, y, z| probe.solid(x, y, z)));
+            }
+        }
+        let pose = self.control.pose;
+        let soon = (pose != before && seconds > 0.0).then(|| pose.ahead(before, AHEAD / seconds));
+        let job = (pose, self.size, self.options);
         if let Some(stats) = drawer.figures().map_err(failed)? {
             self.stats = stats;
         }
+        self.since += seconds;
+        let lacks = self.stats.paging.tiles_missing > 0 && self.since > AGAIN;
         // Nothing in a page waits for the GPU: one that is slow must not be sent more than it draws.
-        if self.drawn == Some(job) || drawer.waiting() > 1 {
+        if (self.drawn == Some(job) && !lacks) || drawer.waiting() > 1 {
             return Ok(false);
         }
-        let camera = self.control.pose.camera(self.size);
-        match drawer.draw(&camera, None, &self.options).map_err(failed)? {
+        self.since = 0.0;
+        let (camera, soon) = (pose.camera(self.size), soon.map(|pose| pose.camera(self.size)));
+        match drawer.draw(&camera, soon.as_ref(), &self.options).map_err(failed)? {
             Drawn::Here(frame) => {
                 self.stats = frame.stats.clone();
                 self.pixels = frame.color.concat();
@@ -364,7 +487,7 @@ impl Page {
 
     /// The same view by the CPU's kernels, RGBA.
     pub fn cpu_picture(&self) -> Result<Vec<u8>, JsValue> {
-        let Some(world) = &self.world else { return Ok(Vec::new()) };
+        let Some(Held::Whole(world)) = &self.held else { return Ok(Vec::new()) };
         let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
         let camera = self.control.pose.camera(self.size);
         let frame = cpu.render(&camera, &self.options, Outputs::default()).map_err(failed)?;
