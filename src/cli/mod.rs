@@ -340,7 +340,7 @@ pub struct BenchArgs {
 ///
 /// With --stream, instead of flags, worlds that come in tiles: how much error and how much time a flight pays for little memory, a
 /// great velocity and a slow link, where its frames wait for their tiles and where they do not. Leaves stream.html, stream.md,
-/// stream.csv, stream.json, plots and pictures.
+/// stream.csv, stream.json, plots and pictures, once all rows are there: with a scene that takes long, name fewer with --memory.
 #[cfg(feature = "report")]
 #[derive(Debug, Args)]
 pub struct ReportArgs {

@@ -21,7 +21,7 @@ use planecast_encoder::{ColorMode, Run, TileKey, TileSource};
 use rayon::prelude::*;
 
 use crate::clock::Clock;
-use crate::frame::plane_setup::Setup;
+use crate::frame::plane_setup::{Plane, Setup};
 use crate::world::fetch::{Fetcher, Orders, Tier};
 use crate::world::parcel::Parcels;
 use crate::world::tables::{
@@ -48,7 +48,7 @@ const WINDOW_SHIFT: u32 = 6;
 /// Levels of at most so many tiles are all there from the start, and stay: what can always stand in.
 pub(crate) const PINNED: u64 = 4;
 
-/// A tile that a frame wants, and how many of its planes pass it.
+/// A tile that a frame wants, and how many of its planes may pass it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
     pub key: TileKey,
@@ -225,40 +225,83 @@ pub struct Pager {
     clock: Clock,
 }
 
+/// Neighbouring planes whose tiles are looked for together: what lies between the outermost holds the others.
+const TOGETHER: usize = 8;
+
 /// The tiles that planes can touch, those that most of them pass first; `None` where more than a window holds.
 pub fn wanted(setup: &Setup, dims: [u32; 3]) -> Option<Vec<Wanted>> {
+    wanted_by(setup, dims, TOGETHER)
+}
+
+/// The same with so many planes at a time.
+fn wanted_by(setup: &Setup, dims: [u32; 3], together: usize) -> Option<Vec<Wanted>> {
     let grids = grids(dims);
-    let levels = (0..setup.levels).into_par_iter().map(|l| wanted_of_level(setup, &grids, l));
+    let levels = (0..setup.levels).into_par_iter().map(|l| wanted_of_level(setup, &grids, l, together));
     let mut found: Vec<Wanted> = levels.collect::<Option<Vec<_>>>()?.concat();
     found.sort_by_key(|wanted| (std::cmp::Reverse(wanted.planes), wanted.key));
     Some(found)
 }
 
-/// The same of one level.
-fn wanted_of_level(setup: &Setup, grids: &[Grid], l: u32) -> Option<Vec<Wanted>> {
-    let side = 1usize << WINDOW_SHIFT;
-    let mut counts = vec![0u32; side * side];
+/// Neighbouring planes, as the outermost two of them.
+struct Pass {
+    /// Where each enters a level and where it leaves it, tiles.
+    lines: [[[f64; 2]; 2]; 2],
+    planes: u32,
+}
+
+/// The planes of one level by neighbours, at most so many in one.
+fn passes(setup: &Setup, l: u32, together: usize) -> Vec<Pass> {
     let scale = f64::from(TILE) * f64::from(1u32 << l);
-    let margin = MARGIN / f64::from(TILE);
     let eye = [0, 1].map(|k| (f64::from(setup.eye_cell[2 * k]) + setup.eye_fract[2 * k]) / scale);
+    let part = |plane: &Plane| {
+        let inside = l >= plane.lod_first && plane.t_end > plane.t_start;
+        let [from, to] = if inside { setup.part(plane, l) } else { [1.0, 0.0] };
+        (from <= to).then_some([from, to])
+    };
+    let mut passes = Vec::new();
+    for fan in &setup.fans {
+        let planes = &setup.planes[fan.first_plane as usize..][..fan.n_planes as usize];
+        let mut i = 0;
+        while i < planes.len() {
+            let first = &planes[i];
+            i += 1;
+            let Some([mut from, mut to]) = part(first) else { continue };
+            let mut last = first;
+            let mut n = 1;
+            // Azimuths turn one way along a fan. Between two that are θ apart lies an arc, which rises above the line from one to the
+            // other by T·θ²/8: by less than a column where it is T columns away.
+            while n < together && i < planes.len() {
+                let next = &planes[i];
+                let Some([begin, end]) = part(next) else { break };
+                let along = first.dir[0] * next.dir[0] + first.dir[1] * next.dir[1];
+                let columns = to.max(end) / f64::from(1u32 << l);
+                if (1.0 - along) * columns > 4.0 {
+                    break;
+                }
+                (from, to, last) = (from.min(begin), to.max(end), next);
+                (n, i) = (n + 1, i + 1);
+            }
+            let line = |plane: &Plane| [from, to].map(|t| [0, 1].map(|k| eye[k] + t * plane.dir[k] / scale));
+            passes.push(Pass { lines: [line(first), line(last)], planes: n as u32 });
+        }
+    }
+    passes
+}
+
+/// The tiles of one level.
+fn wanted_of_level(setup: &Setup, grids: &[Grid], l: u32, together: usize) -> Option<Vec<Wanted>> {
+    let side = 1usize << WINDOW_SHIFT;
+    // A column more for the arc between two planes.
+    let margin = (MARGIN + 1.0) / f64::from(TILE);
     let tiles = grids[l as usize].tiles.map(|n| f64::from(n) - 1.0);
     // Bounds of all that is passed, so that nothing is mistaken for what stands a whole window away.
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    let mut passes = Vec::new();
-    for plane in &setup.planes {
-        if l < plane.lod_first || plane.t_end <= plane.t_start {
-            continue;
-        }
-        let [from, to] = setup.part(plane, l);
-        if to < from {
-            continue;
-        }
-        let ends = [from, to].map(|t| [0, 1].map(|k| eye[k] + t * plane.dir[k] / scale));
+    let passes = passes(setup, l, together);
+    for end in passes.iter().flat_map(|pass| pass.lines.as_flattened()) {
         for k in 0..2 {
-            low[k] = low[k].min(ends[0][k].min(ends[1][k]) - margin).max(0.0);
-            high[k] = high[k].max(ends[0][k].max(ends[1][k]) + margin).min(tiles[k] + 0.999);
+            low[k] = low[k].min(end[k] - margin).max(0.0);
+            high[k] = high[k].max(end[k] + margin).min(tiles[k] + 0.999);
         }
-        passes.push(ends);
     }
     if passes.is_empty() || high[0] < low[0] || high[1] < low[1] {
         return Some(Vec::new());
@@ -267,24 +310,33 @@ fn wanted_of_level(setup: &Setup, grids: &[Grid], l: u32) -> Option<Vec<Wanted>>
     if (0..2).any(|k| high[k].floor() - origin[k] >= side as f64) {
         return None;
     }
-    for [a, b] in passes {
+    let mut counts = vec![0u32; side * side];
+    for Pass { lines, planes } in passes {
+        let [[a, b], _] = lines;
         let major = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
         let minor = 1 - major;
-        let (a, b) = if a[major] <= b[major] { (a, b) } else { (b, a) };
-        let slope = if b[major] > a[major] { (b[minor] - a[minor]) / (b[major] - a[major]) } else { 0.0 };
-        let first = (a[major] - margin).floor().max(0.0);
-        let last = (b[major] + margin).floor().min(tiles[major]);
-        let mut at = first;
+        let lines = lines.map(|[a, b]| {
+            let [a, b] = if a[major] <= b[major] { [a, b] } else { [b, a] };
+            let slope = if b[major] > a[major] { (b[minor] - a[minor]) / (b[major] - a[major]) } else { 0.0 };
+            (a, b, slope)
+        });
+        let [begin, end] = [lines[0].0[major].min(lines[1].0[major]), lines[0].1[major].max(lines[1].1[major])];
+        let last = (end + margin).floor().min(tiles[major]);
+        let mut at = (begin - margin).floor().max(0.0);
         while at <= last {
-            let here = |v: f64| a[minor] + (v.clamp(a[major], b[major]) - a[major]) * slope;
-            let (p, q) = (here(at - margin), here(at + 1.0 + margin));
-            let from = (p.min(q) - margin).floor().max(0.0);
-            let to = (p.max(q) + margin).floor().min(tiles[minor]);
-            let mut across = from;
+            let mut across = [f64::INFINITY, f64::NEG_INFINITY];
+            for (a, b, slope) in lines {
+                for v in [at - margin, at + 1.0 + margin] {
+                    let here = a[minor] + (v.clamp(a[major], b[major]) - a[major]) * slope;
+                    across = [across[0].min(here), across[1].max(here)];
+                }
+            }
+            let to = (across[1] + margin).floor().min(tiles[minor]);
+            let mut across = (across[0] - margin).floor().max(0.0);
             while across <= to {
                 let mut cell = [0.0; 2];
                 (cell[major], cell[minor]) = (at - origin[major], across - origin[minor]);
-                counts[cell[1] as usize * side + cell[0] as usize] += 1;
+                counts[cell[1] as usize * side + cell[0] as usize] += planes;
                 across += 1.0;
             }
             at += 1.0;
@@ -1394,6 +1446,28 @@ mod tests {
             }
         }
         assert!(owed > 0);
+    }
+
+    #[test]
+    fn planes_that_are_looked_at_together_want_what_each_wants_and_little_more() {
+        let scene = scene(true, ColorMode::None, Encoding::Solid);
+        let resident = Resident::new(&scene);
+        let mut totals = [0, 0];
+        for (i, camera) in cameras().into_iter().enumerate() {
+            for (lod, size) in [(Some(1.0), [96, 64]), (None, [96, 64]), (Some(0.3), [1500, 900]), (None, [7, 5])] {
+                let camera = Camera { width: size[0], height: size[1], ..camera };
+                let plan =
+                    crate::frame::plan::FramePlan::new(&resident, &camera, &Options { lod, ..Options::default() });
+                let [each, together] = [1, TOGETHER].map(|n| wanted_by(&plan.setup, resident.dims, n).unwrap());
+                let planes: HashMap<TileKey, u32> = together.iter().map(|w| (w.key, w.planes)).collect();
+                for w in &each {
+                    let found = planes.get(&w.key).copied().unwrap_or(0);
+                    assert!(found >= w.planes, "camera {i}, lod {lod:?}, {size:?}: {w:?}, together {found}");
+                }
+                totals = [totals[0] + each.len(), totals[1] + together.len()];
+            }
+        }
+        assert!(totals[0] > 300 && totals[1] * 100 <= totals[0] * 104, "{totals:?}");
     }
 
     #[test]

@@ -426,7 +426,7 @@ function figures() {
     `${gpu ? adapter : "cpu"}, ${canvas.width} × ${canvas.height}, ${shown.length} frames/s`,
     `ms: ${stages}`,
     `${f.planes} planes, ${f.columns_visited} columns, ${f.runs_visited} runs`,
-    ...(crew ? [`${f.paging.tiles_wanted} tiles wanted, ${f.paging.tiles_missing} missing, ${(f.paging.bytes_resident / 1e6).toFixed(0)} MB of tiles`] : []),
+    ...(crew ? [`${f.tiles_wanted} tiles wanted, ${f.tiles_missing} missing, ${(f.bytes_resident / 1e6).toFixed(0)} MB of tiles`] : []),
     `eye ${p.eye.map((v) => v.toFixed(1)).join(", ")}, yaw ${p.yaw.toFixed(0)}°, pitch ${p.pitch.toFixed(0)}°`,
     `${p.mode}, ${p.speed.toFixed(1)} voxels/s`,
   ].join("\n");
