@@ -178,7 +178,11 @@ class Crew {
       worker.ask("tile", level, x, z, heights === 1).then(
         (parcel) => { if (!this.ended) page.deliver(number, parcel); },
         (error) => { if (!this.ended) page.refuse(number, error.message); },
-      ).finally(() => { this.idle.push(worker); }).catch((error) => wrong("tiles", error));
+      ).finally(() => {
+        this.idle.push(worker);
+        // Frames may be far apart.
+        this.work();
+      }).catch((error) => wrong("tiles", error));
     }
   }
 
