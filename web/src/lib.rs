@@ -77,8 +77,9 @@ pub struct Page {
     /// The CPU's picture, RGBA.
     pixels: Vec<u8>,
     stats: Stats,
-    /// Seconds since a frame was drawn.
+    /// Seconds since a frame was drawn, and whether tiles came meanwhile.
     since: f64,
+    arrived: bool,
     /// The picture that is read back for [`Page::picture`].
     reading: Option<Reading>,
 }
@@ -158,6 +159,7 @@ impl Page {
             pixels: Vec::new(),
             stats: Stats::default(),
             since: 0.0,
+            arrived: false,
             reading: None,
         })
     }
@@ -236,7 +238,7 @@ impl Page {
     pub fn deliver(&mut self, number: u32, parcel: &[u8]) {
         if let Some(Held::Tiles(_, orders)) = &mut self.held {
             orders.deliver(number, Ok(parcel));
-            self.drawn = None;
+            self.arrived = true;
         }
     }
 
@@ -244,7 +246,7 @@ impl Page {
     pub fn refuse(&mut self, number: u32, why: &str) {
         if let Some(Held::Tiles(_, orders)) = &mut self.held {
             orders.deliver(number, Err(planecast::Error::Scene(Error::Limit(why.into()))));
-            self.drawn = None;
+            self.arrived = true;
         }
     }
 
@@ -386,12 +388,15 @@ impl Page {
             self.stats = stats;
         }
         self.since += seconds;
-        let lacks = self.stats.paging.tiles_missing > 0 && self.since > AGAIN;
+        // A frame that shows nothing but tiles that came leaves a device that is slow as much time for them.
+        let pause = 2e-3 * self.stats.gpu_ms.or(self.stats.cpu_ms).map_or(0.0, |ms| ms.total);
+        let news = self.arrived && self.since > pause;
+        let lacks = self.stats.paging.tiles_missing > 0 && self.since > AGAIN.max(pause);
         // Nothing in a page waits for the GPU: one that is slow must not be sent more than it draws.
-        if (self.drawn == Some(job) && !lacks) || drawer.waiting() > 1 {
+        if (self.drawn == Some(job) && !news && !lacks) || drawer.waiting() > 1 {
             return Ok(false);
         }
-        self.since = 0.0;
+        (self.since, self.arrived) = (0.0, false);
         let (camera, soon) = (pose.camera(self.size), soon.map(|pose| pose.camera(self.size)));
         match drawer.draw(&camera, soon.as_ref(), &self.options).map_err(failed)? {
             Drawn::Here(frame) => {
