@@ -1357,6 +1357,31 @@ impl JoinArgs {
     }
 }
 
+/// Those words of a line of `view` that say how an input is read, each flag with its value, as `render` and `fly` call them.
+fn reading(words: impl IntoIterator<Item = OsString>) -> Vec<Vec<String>> {
+    let cli = help::command();
+    let flags_of = |command: &str| cli.find_subcommand(command).into_iter().flat_map(clap::Command::get_arguments);
+    let mut words = words.into_iter().map(|word| word.to_string_lossy().into_owned());
+    let mut found = Vec::new();
+    while let Some(word) = words.next() {
+        let Some(flag) = word.strip_prefix("--") else { continue };
+        let (name, value) = flag.split_once('=').map_or((flag, None), |(name, value)| (name, Some(value)));
+        // As `InputArgs` calls its flags: those whose name is taken begin with "input-".
+        let is_of_input = |arg: &&clap::Arg| arg.get_long() == Some(name) && arg.get_id().as_str().starts_with("input");
+        let Some(arg) = flags_of("view").find(is_of_input) else { continue };
+        let name = name.strip_prefix("input-").unwrap_or(name);
+        let taken = format!("input-{name}");
+        let is_taken = flags_of("render").any(|arg| arg.get_long() == Some(&taken));
+        let shown = format!("--{}", if is_taken { &taken } else { name });
+        found.push(match value {
+            Some(value) => vec![format!("{shown}={value}")],
+            None if arg.get_action().takes_values() => std::iter::once(shown).chain(words.next()).collect(),
+            None => vec![shown],
+        });
+    }
+    found
+}
+
 impl ViewArgs {
     fn run(&self) -> Result<()> {
         if self.draw.projection != Projection::Perspective {
@@ -1372,6 +1397,7 @@ impl ViewArgs {
                 skip_broken: self.draw.skip_broken,
                 specialize: self.draw.specialize,
             },
+            reading: reading(join_negative(std::env::args_os().skip(1))),
             residency: self.draw.residency.options(view::PATIENCE),
             eye: self.eye,
             yaw: self.yaw,
@@ -1688,6 +1714,22 @@ mod tests {
         let args = opens(join_negative(line.split_whitespace().map(OsString::from)));
         let parse = |args| help::command().try_get_matches_from(args).and_then(|m| Cli::from_arg_matches(&m));
         args.and_then(parse).map_err(|e| plain(&e))
+    }
+
+    #[test]
+    fn words_that_say_how_an_input_is_read_are_told_from_the_rest() {
+        let line = "view dem.png --yaw 30 --height-scale 0.1 --colors=a.png --device cpu --iso=-20 --input-spacing as-is --full-screen \
+                    --window 320x200 --input-window=-5,9 --size 700 --fill";
+        let expected: [&[&str]; 7] = [
+            &["--height-scale", "0.1"],
+            &["--colors=a.png"],
+            &["--iso=-20"],
+            &["--input-spacing", "as-is"],
+            &["--window=-5,9"],
+            &["--input-size", "700"],
+            &["--fill"],
+        ];
+        assert_eq!(reading(line.split_whitespace().map(OsString::from)), expected);
     }
 
     fn render(flags: &str) -> RenderArgs {

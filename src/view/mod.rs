@@ -65,6 +65,8 @@ pub struct Settings {
     /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
     pub input: Option<PathBuf>,
     pub how: OpenOptions,
+    /// Words of the command line that say how an input is read, each flag with its value: for commands that draw the same.
+    pub reading: Vec<Vec<String>>,
     pub residency: ResidencyOptions,
     /// Where to begin; without an eye, where the scene was left, or a good view.
     pub eye: Option<glam::DVec3>,

@@ -15,7 +15,7 @@ pub struct Tune {
     pub threshold: Option<f64>,
     /// As `--up`: "x", "y" or "z".
     pub up: Option<String>,
-    /// Voxels are cubes, as `--spacing as-is`; false: as the file states it.
+    /// Voxels are cubes, as `encode --spacing as-is`; false: as the file states it.
     pub as_is: Option<bool>,
     pub ramp: Option<String>,
     pub exaggeration: Option<f64>,
@@ -57,12 +57,23 @@ impl Tune {
         self.exaggeration = exaggeration.or(self.exaggeration);
     }
 
-    /// The flags that read an input so.
+    /// Words of a command line that say how an input is read, with these in place of theirs.
+    pub fn words(&self, reading: &[Vec<String>]) -> Vec<String> {
+        let flags = self.flags();
+        let flags: Vec<String> = flags.split_whitespace().map(str::to_owned).collect();
+        let stays = |words: &&Vec<String>| {
+            let name = words[0].split('=').next().unwrap_or_default();
+            !flags.iter().any(|flag| flag == name)
+        };
+        reading.iter().filter(stays).flatten().cloned().chain(flags.iter().cloned()).collect()
+    }
+
+    /// The flags of `render` and `fly` that read an input so.
     pub fn flags(&self) -> String {
         let mut flags = Vec::new();
         flags.extend(self.threshold.map(|v| format!("--iso {v}")));
         flags.extend(self.up.as_ref().map(|up| format!("--up {up}")));
-        flags.extend(self.as_is.map(|as_is| format!("--spacing {}", if as_is { "as-is" } else { "auto" })));
+        flags.extend(self.as_is.map(|as_is| format!("--input-spacing {}", if as_is { "as-is" } else { "auto" })));
         flags.extend(self.ramp.as_ref().map(|ramp| format!("--ramp {ramp}")));
         flags.extend(self.exaggeration.map(|v| format!("--exaggeration {v}")));
         flags.join(" ")
@@ -86,7 +97,11 @@ mod tests {
         assert!(tune.flags().is_empty() && tune.of(&read).iso == Some(1.0));
         tune.take(serde_json::from_str(r#"{"threshold": -2.5, "up": "z"}"#).unwrap());
         tune.take(serde_json::from_str(r#"{"ramp": "viridis", "as_is": true, "exaggeration": 3}"#).unwrap());
-        assert_eq!(tune.flags(), "--iso -2.5 --up z --spacing as-is --ramp viridis --exaggeration 3");
+        assert_eq!(tune.flags(), "--iso -2.5 --up z --input-spacing as-is --ramp viridis --exaggeration 3");
+        let read_so = [vec!["--iso=1".to_owned()], vec!["--height-scale".into(), "0.1".into()]];
+        let words = "--height-scale 0.1 --iso -2.5 --up z --input-spacing as-is --ramp viridis --exaggeration 3";
+        assert_eq!(tune.words(&read_so).join(" "), words);
+        assert_eq!(Tune::default().words(&read_so).join(" "), "--iso=1 --height-scale 0.1");
         let of = tune.of(&read);
         assert!(of.show && of.iso == Some(-2.5) && of.up == Some(Up::Z) && of.spacing == Some(Spacing::AsIs));
         assert!(of.exaggeration == Some(Exaggeration::Times(3.0)) && of.ramp.as_deref() == Some("viridis"));

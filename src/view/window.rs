@@ -784,7 +784,9 @@ impl App {
     fn scene(&self) -> String {
         match &self.world {
             Some(world) if world.encoded() => {
-                format!("{} {}", quoted(world.path()), self.tune.flags()).trim_end().to_owned()
+                let words = self.tune.words(&self.settings.reading);
+                let words = words.iter().map(|word| quoted(Path::new(word)));
+                std::iter::once(quoted(world.path())).chain(words).collect::<Vec<_>>().join(" ")
             }
             Some(world) => {
                 let (ramp, tiles) = match &**world {
