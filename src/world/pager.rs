@@ -661,8 +661,8 @@ impl Pager {
         self.levels.iter().map(level).sum()
     }
 
-    /// Brings the tiles that a frame wants, as [`wanted`] has them, as far as its patience goes; what is not there then is stood in for. `None` where
-    /// the budget does not hold them all: the frame has to be drawn coarser.
+    /// Brings the tiles that a frame wants, as [`wanted`] has them, as far as its patience goes; what is not there then is stood
+    /// in for. `None` where the budget does not hold them all: the frame has to be drawn coarser.
     ///
     /// # Errors
     /// [`Error::Limit`] where memory is out.

@@ -1,9 +1,9 @@
 // Events, files and words of the page; scene, camera and kernels are in planecast_web.wasm, and once more in worker.js, where
 // files are read.
 //
-// Address: ?scene=URL opens that file in place of the demo, or a world that is made: ?scene=procedural:hills%3Fsize=inf; ?tiles has a
-// scene come in tiles, as large ones do, and ?memory=MB says how much of those is kept; ?device=cpu draws without WebGPU, ?device=gpu with it even where it is
-// software; ?size=WxH fixes the picture. #eye=X,Y,Z&yaw=D&pitch=D&roll=D&mode=NAME is the view, and follows it.
+// Address: ?scene=URL opens that file in place of the demo, or a world that is made: ?scene=procedural:hills%3Fsize=inf; ?tiles has
+// a scene come in tiles, as large ones do, and ?memory=MB says how much of those is kept; ?device=cpu draws without WebGPU,
+// ?device=gpu with it even where it is software; ?size=WxH fixes the picture. #eye=X,Y,Z&yaw=D&pitch=D&roll=D&mode=NAME is the view, and follows it.
 import init, { Page } from "./planecast_web.js";
 
 const element = (id) => document.getElementById(id);

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use planecast::world::parcel::Packer;
+use planecast_encoder::format::arriving::HEAD;
 use planecast_encoder::format::ranged::RangedFile;
 use planecast_encoder::format::sheets::{Manifest, Sheets};
 use planecast_encoder::source::{ReadOptions, tiles};
@@ -15,9 +16,6 @@ use wasm_bindgen::prelude::*;
 use web_sys::{XmlHttpRequest, XmlHttpRequestResponseType};
 
 use super::failed;
-
-/// Bytes that are asked for first, and kept: the header and most directories.
-const HEAD: u64 = 64 << 10;
 
 /// How often a request is sent that comes to nothing.
 const TRIES: u32 = 3;
@@ -64,6 +62,7 @@ struct Distant {
     name: PathBuf,
     url: String,
     size: u64,
+    /// What was asked for first: the header, and most directories.
     head: Vec<u8>,
 }
 
