@@ -8,6 +8,11 @@ use planecast::measure::stability::measure::{off, sane};
 use planecast::measure::stability::{Drawer, World, WorldName};
 use planecast::{Camera, Frame, Options, Repeat, Shading};
 
+/// One for all: renderers that share a device compile each shader once.
+#[cfg(feature = "gpu")]
+static GPU: std::sync::LazyLock<planecast::gpu::present::Device> =
+    std::sync::LazyLock::new(|| planecast::gpu::present::Device::headless().unwrap());
+
 const SKY: [i32; 4] = [-1; 4];
 
 fn plain() -> Options {
@@ -68,7 +73,7 @@ fn gpu(world: &World) -> Vec<Drawer<'_>> {
         eprintln!("without a GPU: PLANECAST_NO_GPU=1");
         return Vec::new();
     }
-    planecast::Kernel::ALL.map(|kernel| Drawer::gpu(world, kernel, true).unwrap()).into()
+    planecast::Kernel::ALL.map(|kernel| Drawer::gpu(&GPU, world, kernel, true).unwrap()).into()
 }
 
 #[cfg(not(feature = "gpu"))]

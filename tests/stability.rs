@@ -12,6 +12,11 @@ use planecast_encoder::{BuildOptions, Colors, Columns, Input, build};
 use std::collections::HashMap;
 use std::sync::Arc;
 
+/// One for all: renderers that share a device compile each shader once.
+#[cfg(feature = "gpu")]
+static GPU: std::sync::LazyLock<planecast::gpu::present::Device> =
+    std::sync::LazyLock::new(|| planecast::gpu::present::Device::headless().unwrap());
+
 /// All cases world by world, so that each world is made once.
 fn by_world() -> Vec<(WorldName, Vec<Case>)> {
     let mut order: Vec<WorldName> = Vec::new();
@@ -90,7 +95,7 @@ fn every_case_keeps_its_bounds_on_the_gpu() {
     if !gpu_wanted() {
         return;
     }
-    let (rows, faults) = run(|world| KERNELS.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
+    let (rows, faults) = run(|world| KERNELS.map(|k| Drawer::gpu(&GPU, world, k, true).unwrap()).into());
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults.join("\n"));
     // What a device does not draw it refuses with the figure and a way out; that is the rare case.
     let refused: Vec<_> = rows.iter().filter_map(|r| r.refused.as_deref()).collect();
@@ -112,7 +117,7 @@ fn walks_of_seconds_are_refused_on_the_gpu() {
     let repeat = Repeat { x: true, z: true };
     let far = Options { lod: None, repeat, view_distance: 1e9, ..Options::default() };
     for kernel in KERNELS {
-        let mut drawer = Drawer::gpu(&world, kernel, true).unwrap();
+        let mut drawer = Drawer::gpu(&GPU, &world, kernel, true).unwrap();
         let inside = (drawer.draw)(&inside_solid, &far).unwrap();
         assert_eq!(inside.stats.kernel, "inside", "an eye in solid walks nothing");
         let tall = Camera { eye: DVec3::new(16.3, 1e7, 15.7), pitch: -60.0, ..camera };
@@ -137,7 +142,7 @@ fn walks_that_a_software_gpu_cuts_short_are_refused() {
     let options = Options { repeat, view_distance: above, shading: Shading::None, ..Options::default() };
     let mut refused = 0;
     for kernel in KERNELS {
-        let mut drawer = Drawer::gpu(&world, kernel, true).unwrap();
+        let mut drawer = Drawer::gpu(&GPU, &world, kernel, true).unwrap();
         for pitch in [-90.0, -89.0, -85.0] {
             let camera = Camera { eye, yaw: 25.0, pitch, roll: 0.0, fov: 30.0, width: 80, height: 60 };
             match (drawer.draw)(&camera, &options) {
@@ -370,7 +375,7 @@ fn closed_worlds_show_no_sky_from_anywhere_on_the_gpu() {
     if !gpu_wanted() {
         return;
     }
-    let (leaks, pixels) = leaks(200, |world| KERNELS.map(|k| Drawer::gpu(world, k, true).unwrap()).into());
+    let (leaks, pixels) = leaks(200, |world| KERNELS.map(|k| Drawer::gpu(&GPU, world, k, true).unwrap()).into());
     println!("{pixels} pixels");
     assert!(leaks.is_empty(), "{} frames\n{}", leaks.len(), leaks.join("\n"));
 }
@@ -427,7 +432,7 @@ fn every_case_is_the_same_from_two_gpu_runs_and_with_runtime_checks() {
     for (name, cases) in by_world() {
         let world = name.make();
         for kernel in KERNELS {
-            let mut drawers = [true, true, false].map(|trusted| Drawer::gpu(&world, kernel, trusted).unwrap());
+            let mut drawers = [true, true, false].map(|trusted| Drawer::gpu(&GPU, &world, kernel, trusted).unwrap());
             for case in &cases {
                 let frames: Vec<_> = (drawers.iter_mut())
                     .map(|d| match (d.draw)(&case.camera, &case.options) {

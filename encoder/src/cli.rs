@@ -12,7 +12,7 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::encode::memory;
 use crate::encode::open::{self, Opened};
 use crate::encode::{self, EncodeOptions, Summary, Watch};
-use crate::format::sheets::{Manifest, Sheet, Sheets};
+use crate::format::sheets::{Manifest, Sheet, Sheets, is_manifest};
 use crate::format::write::{keep_input, resolved};
 use crate::inspect::decode::decode_to_raw;
 use crate::inspect::info;
@@ -183,6 +183,8 @@ fn tell_of(world: &dyn Pieces, explain: bool) {
 #[derive(Clone, Debug, Default)]
 pub struct InputArgs {
     pub read: ReadOptions,
+    /// What was typed: each flag as [`ReadOptions`] calls it, with its values, for a command line that reads the same.
+    pub words: Vec<Vec<String>>,
 }
 
 impl InputArgs {
@@ -196,6 +198,24 @@ impl InputArgs {
     /// to live as long as it.
     fn ids(long: &str) -> [&'static str; 2] {
         [format!("input option {long}"), format!("input-{long}")].map(|id| &*id.leak())
+    }
+
+    /// [`InputArgs::words`] with the names that they have in `command`, which takes these options, too.
+    pub fn words_of(command: &clap::Command, words: &[Vec<String>]) -> Vec<Vec<String>> {
+        let is_taken = |long: &str| {
+            let stand_in = InputArgs::ids(long)[1];
+            command.get_arguments().any(|arg| arg.get_id().as_str() == stand_in)
+        };
+        let named = |words: &Vec<String>| {
+            let mut words = words.clone();
+            let long = words[0].strip_prefix("--").unwrap_or_default();
+            let long = long.split('=').next().unwrap_or_default();
+            if is_taken(long) {
+                words[0].insert_str(2, "input-");
+            }
+            words
+        };
+        words.iter().map(named).collect()
     }
 }
 
@@ -240,6 +260,7 @@ impl clap::FromArgMatches for InputArgs {
     fn from_arg_matches(matches: &clap::ArgMatches) -> Result<InputArgs, clap::Error> {
         let mut own = InputArgs::own();
         let mut line = vec![std::ffi::OsString::from("input")];
+        let mut typed = Vec::new();
         let args: Vec<clap::Arg> = own.get_arguments().cloned().collect();
         for arg in &args {
             let Some(long) = arg.get_long() else { continue };
@@ -255,9 +276,11 @@ impl clap::FromArgMatches for InputArgs {
             }
             if !arg.get_action().takes_values() {
                 line.push(format!("--{shown}").into());
+                typed.push(vec![format!("--{long}")]);
                 continue;
             }
             for values in matches.get_raw_occurrences(id).into_iter().flatten() {
+                let mut words = Vec::new();
                 for (i, value) in values.enumerate() {
                     let mut word = std::ffi::OsString::new();
                     if i == 0 {
@@ -265,11 +288,14 @@ impl clap::FromArgMatches for InputArgs {
                     }
                     word.push(value);
                     line.push(word);
+                    let value = value.to_string_lossy();
+                    words.push(if i == 0 { format!("--{long}={value}") } else { value.into_owned() });
                 }
+                typed.push(words);
             }
         }
         let found = own.disable_help_flag(true).try_get_matches_from(line)?;
-        Ok(InputArgs { read: <ReadOptions as clap::FromArgMatches>::from_arg_matches(&found)? })
+        Ok(InputArgs { read: <ReadOptions as clap::FromArgMatches>::from_arg_matches(&found)?, words: typed })
     }
 
     fn update_from_arg_matches(&mut self, matches: &clap::ArgMatches) -> Result<(), clap::Error> {
@@ -461,7 +487,7 @@ impl WorldArgs {
 
     /// The same with names as seen from a folder.
     pub(crate) fn run_in(&self, here: &Path) -> Result<()> {
-        if !self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld")) {
+        if !is_manifest(&self.output) {
             let output = self.output.display();
             return Err(Error::Argument(format!("--output {output}: a name that ends with .pworld was expected")));
         }
@@ -650,8 +676,9 @@ pub struct InfoArgs {
 impl InfoArgs {
     pub fn run(&self) -> Result<()> {
         // Of a world of sheets, which no file holds as a whole.
-        let sheets = remote::shown(&self.scene).extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld"));
-        if sheets && let Some(world) = tiles::open(&self.scene, &self.input.read)? {
+        if is_manifest(&self.scene)
+            && let Some(world) = tiles::open(&self.scene, &self.input.read)?
+        {
             let info = info::WorldInfo::of(&*world);
             return print(&if self.json { json(&info) } else { info.to_string() });
         }

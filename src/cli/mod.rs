@@ -1357,29 +1357,10 @@ impl JoinArgs {
     }
 }
 
-/// Those words of a line of `view` that say how an input is read, each flag with its value, as `render` and `fly` call them.
-fn reading(words: impl IntoIterator<Item = OsString>) -> Vec<Vec<String>> {
+/// Words that say how an input is read, as `command` calls them.
+fn words_of(command: &str, words: &[Vec<String>]) -> Vec<Vec<String>> {
     let cli = help::command();
-    let flags_of = |command: &str| cli.find_subcommand(command).into_iter().flat_map(clap::Command::get_arguments);
-    let mut words = words.into_iter().map(|word| word.to_string_lossy().into_owned());
-    let mut found = Vec::new();
-    while let Some(word) = words.next() {
-        let Some(flag) = word.strip_prefix("--") else { continue };
-        let (name, value) = flag.split_once('=').map_or((flag, None), |(name, value)| (name, Some(value)));
-        // As `InputArgs` calls its flags: those whose name is taken begin with "input-".
-        let is_of_input = |arg: &&clap::Arg| arg.get_long() == Some(name) && arg.get_id().as_str().starts_with("input");
-        let Some(arg) = flags_of("view").find(is_of_input) else { continue };
-        let name = name.strip_prefix("input-").unwrap_or(name);
-        let taken = format!("input-{name}");
-        let is_taken = flags_of("render").any(|arg| arg.get_long() == Some(&taken));
-        let shown = format!("--{}", if is_taken { &taken } else { name });
-        found.push(match value {
-            Some(value) => vec![format!("{shown}={value}")],
-            None if arg.get_action().takes_values() => std::iter::once(shown).chain(words.next()).collect(),
-            None => vec![shown],
-        });
-    }
-    found
+    InputArgs::words_of(cli.find_subcommand(command).expect("one of planecast's"), words)
 }
 
 impl ViewArgs {
@@ -1397,7 +1378,10 @@ impl ViewArgs {
                 skip_broken: self.draw.skip_broken,
                 specialize: self.draw.specialize,
             },
-            reading: reading(join_negative(std::env::args_os().skip(1))),
+            reading: view::Reading {
+                render: words_of("render", &self.input_options.words),
+                fly: words_of("fly", &self.input_options.words),
+            },
             residency: self.draw.residency.options(view::PATIENCE),
             eye: self.eye,
             yaw: self.yaw,
@@ -1717,19 +1701,28 @@ mod tests {
     }
 
     #[test]
-    fn words_that_say_how_an_input_is_read_are_told_from_the_rest() {
-        let line = "view dem.png --yaw 30 --height-scale 0.1 --colors=a.png --device cpu --iso=-20 --input-spacing as-is --full-screen \
-                    --window 320x200 --input-window=-5,9 --size 700 --fill";
-        let expected: [&[&str]; 7] = [
-            &["--height-scale", "0.1"],
-            &["--colors=a.png"],
-            &["--iso=-20"],
-            &["--input-spacing", "as-is"],
-            &["--window=-5,9"],
-            &["--input-size", "700"],
-            &["--fill"],
-        ];
-        assert_eq!(reading(line.split_whitespace().map(OsString::from)), expected);
+    fn words_that_say_how_an_input_is_read_have_the_names_of_the_command_they_are_for() {
+        let line = "planecast view mesh.stl --yaw 30 --height-scale 0.1 --colors=a.png --device cpu --iso=-20 --input-spacing as-is \
+                    --full-screen --window 320x200 --input-window=-5,9 --size 700 --fill --voxel 2";
+        let Command::View(view) = parse(line).unwrap().command else { panic!("not view") };
+        let words = |command| {
+            let mut words: Vec<String> = words_of(command, &view.input_options.words).into_iter().flatten().collect();
+            words.sort();
+            words
+        };
+        let both = ["--colors=a.png", "--fill", "--height-scale=0.1"];
+        let spaced = ["--input-size=700", "--input-spacing=as-is"];
+        assert_eq!(words("render"), [&both[..], &spaced, &["--input-voxel=2", "--iso=-20", "--window=-5,9"]].concat());
+        assert_eq!(words("fly"), [&both[..], &spaced, &["--iso=-20", "--voxel=2", "--window=-5,9"]].concat());
+        for command in ["render", "fly"] {
+            let line = format!("planecast {command} mesh.stl -o o.png {}", words(command).join(" "));
+            let read = match parse(&line).unwrap().command {
+                Command::Render(args) => args.input.read,
+                Command::Fly(args) => args.input.read,
+                other => panic!("{other:?}"),
+            };
+            assert_eq!(format!("{read:?}"), format!("{:?}", view.input_options.read), "{line}");
+        }
     }
 
     fn render(flags: &str) -> RenderArgs {

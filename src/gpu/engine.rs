@@ -48,6 +48,15 @@ impl std::fmt::Debug for Pipelines {
 pub struct Failure(Arc<Mutex<Option<String>>>);
 
 impl Device {
+    /// Opens an adapter, for pictures that no surface shows.
+    pub fn on(adapter: &wgpu::Adapter) -> Result<Device> {
+        let info = adapter.get_info();
+        let opened = pollster::block_on(adapter.request_device(&Engine::wishes(adapter)));
+        let (device, queue) = opened
+            .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
+        Ok(Device::watched(info, device, queue))
+    }
+
     /// What happens to it is heard from now on.
     pub fn watched(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue) -> Device {
         let failure = Failure::watch(&device);
@@ -105,11 +114,7 @@ impl Engine {
 
     /// Opens an adapter.
     pub fn on(adapter: &wgpu::Adapter, trusted: bool) -> Result<Engine> {
-        let info = adapter.get_info();
-        let opened = pollster::block_on(adapter.request_device(&Engine::wishes(adapter)));
-        let (device, queue) = opened
-            .map_err(|e| Error::Device(format!("{}: cannot open the device ({e}): try --device cpu", info.name)))?;
-        Ok(Engine::with_device(Device::watched(info, device, queue), trusted))
+        Ok(Engine::with_device(Device::on(adapter)?, trusted))
     }
 
     /// All adapters of the kind of the most powerful: through the same API, as one device may be there through several, and

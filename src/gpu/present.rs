@@ -6,7 +6,7 @@ use std::sync::mpsc::TryRecvError;
 
 use planecast_encoder::Scene;
 
-use super::engine::Engine;
+use super::engine::{self, Engine};
 pub use super::engine::{Device, Failure};
 use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts, Sent};
 use crate::clock::Instant;
@@ -22,6 +22,13 @@ impl Device {
     /// A device that was asked for with [`Device::wishes`].
     pub fn new(info: wgpu::AdapterInfo, device: wgpu::Device, queue: wgpu::Queue) -> Device {
         Device::watched(info, device, queue)
+    }
+
+    /// Opens the adapter that the environment names (`WGPU_ADAPTER_NAME`), else the most powerful, for pictures that no
+    /// surface shows. Renderers that share a device compile each shader once.
+    #[cfg(not(target_arch = "wasm32"))]
+    pub fn headless() -> Result<Device> {
+        Device::on(&Engine::choose(&engine::instance(), None)?)
     }
 
     /// What to ask an adapter for, so that scenes and pictures fit as with [`GpuRenderer::new`].
@@ -680,7 +687,7 @@ mod tests {
             return None;
         }
         let adapter =
-            Engine::choose(&instance(), None).expect("a Vulkan device, software will do (./test installs one)");
+            Engine::choose(&engine::instance(), None).expect("a Vulkan device, software will do (./test installs one)");
         let (device, queue) = pollster::block_on(adapter.request_device(&Device::wishes(&adapter))).unwrap();
         Some(Device::new(adapter.get_info(), device, queue))
     }

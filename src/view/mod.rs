@@ -58,6 +58,14 @@ use crate::world::residency::ResidencyOptions;
 #[cfg(not(target_arch = "wasm32"))]
 pub const PATIENCE: Patience = Patience::Deadline(8.0);
 
+/// Words of a command line that say how an input is read, each flag with its value, as the commands call them that draw the same.
+#[cfg(not(target_arch = "wasm32"))]
+#[derive(Clone, Debug, Default)]
+pub struct Reading {
+    pub render: Vec<Vec<String>>,
+    pub fly: Vec<Vec<String>>,
+}
+
 /// What `planecast view` is told.
 #[cfg(not(target_arch = "wasm32"))]
 #[derive(Clone, Debug)]
@@ -65,8 +73,7 @@ pub struct Settings {
     /// A scene file, or an input to encode; `None` for a window that waits for a file to be dropped on it.
     pub input: Option<PathBuf>,
     pub how: OpenOptions,
-    /// Words of the command line that say how an input is read, each flag with its value: for commands that draw the same.
-    pub reading: Vec<Vec<String>>,
+    pub reading: Reading,
     pub residency: ResidencyOptions,
     /// Where to begin; without an eye, where the scene was left, or a good view.
     pub eye: Option<glam::DVec3>,

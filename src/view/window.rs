@@ -766,7 +766,7 @@ impl App {
         let text = format!(
             "{} keyframes in {file}: planecast fly {} -o flight.mp4 --path {file}",
             route.keyframes().len(),
-            self.scene()
+            self.scene(&self.settings.reading.fly)
         );
         if self.script.is_some() {
             cli::print(&format!("{text}\n"))?;
@@ -780,11 +780,11 @@ impl App {
         self.panel.screenshot_size.unwrap_or(self.area()[1])
     }
 
-    /// What a command is given for the world: a scene file, or the input and how it is tuned.
-    fn scene(&self) -> String {
+    /// What a command is given for the world: a scene file, or the input and how it is tuned, `reading` by that command's words.
+    fn scene(&self, reading: &[Vec<String>]) -> String {
         match &self.world {
             Some(world) if world.encoded() => {
-                let words = self.tune.words(&self.settings.reading);
+                let words = self.tune.words(reading);
                 let words = words.iter().map(|word| quoted(Path::new(word)));
                 std::iter::once(quoted(world.path())).chain(words).collect::<Vec<_>>().join(" ")
             }
@@ -802,7 +802,7 @@ impl App {
 
     /// The command that draws this view.
     fn command(&self, size: [u32; 2]) -> String {
-        let scene = self.scene();
+        let scene = self.scene(&self.settings.reading.render);
         let flags = self.draws.options(&self.options).flags();
         let draws = match (self.draws, self.world.as_deref()) {
             // Tiles are drawn by one kernel, which is not asked for.

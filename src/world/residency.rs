@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use planecast_encoder::encode::{Watch, memory};
+use planecast_encoder::format::sheets::is_manifest;
 use planecast_encoder::source::{ReadOptions, tiles};
 use planecast_encoder::{About, PcastFile, TileSource};
 
@@ -49,9 +50,8 @@ impl ResidencyOptions {
     /// # Errors
     /// Those of the source, and [`Error::Argument`] where what is never whole was asked for whole.
     pub fn tiles(&self, path: &Path, read: &ReadOptions) -> Result<Option<Tiles>> {
-        let sheets = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pworld"));
         let made = path.to_str().is_some_and(|name| name.starts_with("procedural:"));
-        if !(sheets || made || self.residency == Residency::Paged) {
+        if !(is_manifest(path) || made || self.residency == Residency::Paged) {
             return Ok(None);
         }
         let Some(source) = tiles::open(path, read)? else { return Ok(None) };

@@ -29,7 +29,7 @@ use planecast_encoder::{
     build,
 };
 use std::collections::HashSet;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 const VOXEL: Outputs = Outputs { voxel: true };
 
@@ -82,13 +82,21 @@ fn gpu_options(kernel: Kernel) -> GpuOptions {
     GpuOptions { kernel, ..GpuOptions::default() }
 }
 
+/// One for all: renderers that share a device compile each shader once.
+static GPU: LazyLock<planecast::gpu::present::Device> =
+    LazyLock::new(|| planecast::gpu::present::Device::headless().unwrap());
+
+fn open(scene: &Arc<Scene>, resident: &Arc<Resident>, options: GpuOptions) -> GpuRenderer {
+    GpuRenderer::on_device(scene, resident, options, &GPU).unwrap()
+}
+
 fn flat() -> Options {
     Options { shading: Shading::None, ..Options::default() }
 }
 
 /// Draws all poses with CPU and GPU and passes each pair on.
 fn against_cpu(world: &World, gpu: GpuOptions, options: &Options, mut see: impl FnMut(&Camera, Frame, Frame)) {
-    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu).unwrap();
+    let mut gpu = open(&world.scene, &world.resident, gpu);
     let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
     for camera in poses(world) {
         let drawn = gpu.render(&camera, options, VOXEL).unwrap();
@@ -233,7 +241,7 @@ fn kernels_show_what_exact_rays_meet() {
     let options = Options { lod: None, ..flat() };
     for (name, world) in [("rocks", rocks()), ("mixing", world(Kind::Mixing, 64, Encoding::Solid, ColorMode::Voxel))] {
         for kernel in Kernel::ALL {
-            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+            let mut gpu = open(&world.scene, &world.resident, gpu_options(kernel));
             let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
             for camera in poses(&world) {
                 let drawn = gpu.render(&camera, &options, VOXEL).unwrap();
@@ -266,7 +274,7 @@ fn planes_kernels_draw_ceilings_from_the_eye_outwards() {
         let camera = Camera { eye, yaw: 33.0, pitch, roll: 0.0, fov: 70.0, width: 121, height: 90 };
         let expected = CpuRenderer::new(&scene, &resident).render(&camera, &options, VOXEL).unwrap();
         for kernel in [Kernel::Invocation, Kernel::Workgroup] {
-            let mut gpu = GpuRenderer::new(&scene, &resident, gpu_options(kernel)).unwrap();
+            let mut gpu = open(&scene, &resident, gpu_options(kernel));
             let drawn = gpu.render(&camera, &options, VOXEL).unwrap();
             agrees(&format!("{} at {y}", kernel.name()), &camera, &compare(&drawn, &expected));
         }
@@ -310,7 +318,7 @@ fn culling_changes_no_picture() {
         Culling::NONE,
     ];
     for kernel in Kernel::ALL {
-        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+        let mut gpu = open(&world.scene, &world.resident, gpu_options(kernel));
         for camera in &poses(&world)[..4] {
             let expected = gpu.render(camera, &options(Culling::ALL), VOXEL).unwrap();
             for culling in all {
@@ -331,7 +339,7 @@ fn traverse_leaves_the_same_planes_as_the_cpu() {
     // Whole samples, as the CPU has them.
     let options = Options { specialize: Features::NONE, ..flat() };
     for kernel in [Kernel::Workgroup, Kernel::Invocation] {
-        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+        let mut gpu = open(&world.scene, &world.resident, gpu_options(kernel));
         for camera in poses(&world) {
             gpu.render(&camera, &options, VOXEL).unwrap();
             let setup = plane_setup(&world.resident, &camera, &options);
@@ -368,7 +376,7 @@ fn remap_of_the_same_planes_takes_the_same_samples() {
         return;
     }
     let world = rocks();
-    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(Kernel::Workgroup)).unwrap();
+    let mut gpu = open(&world.scene, &world.resident, gpu_options(Kernel::Workgroup));
     let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
     let repeat = Repeat { x: true, z: true };
     for (name, options) in [
@@ -431,7 +439,7 @@ fn shade_of_the_same_image_gives_the_same_colours() {
         return;
     }
     let world = rocks();
-    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(Kernel::Workgroup)).unwrap();
+    let mut gpu = open(&world.scene, &world.resident, gpu_options(Kernel::Workgroup));
     let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
     for shading in [Shading::None, Shading::Ssn, Shading::Ssao, Shading::Full] {
         for (fog, sun, sky) in [(None, None, true), (Some(150.0), None, true), (None, Some([300.0, 25.0]), false)] {
@@ -529,7 +537,7 @@ fn films_frames_are_the_same_pictures_in_one_pass_without_depths_in_used_memory(
     cameras[2].eye.y = 0.5; // inside a voxel
     (cameras[5].width, cameras[5].height) = (50, 120);
     let alone: Vec<_> = {
-        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+        let mut gpu = open(&world.scene, &world.resident, GpuOptions::default());
         cameras.iter().map(|c| gpu.render(c, &Options::default(), Outputs::default()).unwrap()).collect()
     };
     assert!(alone[0].stats.gpu_ms.unwrap().traverse > 0.0);
@@ -560,7 +568,7 @@ fn checked_and_trusted_shaders_draw_equal_pictures() {
     for kernel in Kernel::ALL {
         let draw = |trusted| {
             let options = GpuOptions { trusted, ..gpu_options(kernel) };
-            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options).unwrap();
+            let mut gpu = open(&world.scene, &world.resident, options);
             let repeat = Options { repeat: Repeat { x: true, z: true }, view_distance: 3000.0, ..Options::default() };
             let frames = poses(&world).into_iter().map(|c| gpu.render(&c, &repeat, VOXEL).unwrap());
             frames.map(|f| (f.color, f.depth, f.voxel)).collect::<Vec<_>>()
@@ -587,7 +595,7 @@ fn lanes_and_memory_change_no_picture() {
             let proved_uniform = lanes == 64;
             let options =
                 GpuOptions { lanes: Some(lanes), workgroup_memory: memory, proved_uniform, ..gpu_options(kernel) };
-            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options).unwrap();
+            let mut gpu = open(&world.scene, &world.resident, options);
             for camera in [&small, &tall] {
                 let drawn = gpu.render(camera, &flat(), VOXEL).unwrap();
                 let expected = cpu.render(camera, &flat(), VOXEL).unwrap();
@@ -605,7 +613,7 @@ fn frames_in_flight_come_back_in_order() {
     }
     let world = rocks();
     let options = Options::default();
-    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+    let mut gpu = open(&world.scene, &world.resident, GpuOptions::default());
     let mut cameras = poses(&world);
     // One inside a voxel, which needs no device, and one of another size.
     cameras[2].eye.y = 0.5;
@@ -660,7 +668,7 @@ fn stats_say_what_a_frame_took() {
     }
     let world = rocks();
     for kernel in Kernel::ALL {
-        let mut gpu = GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap();
+        let mut gpu = open(&world.scene, &world.resident, gpu_options(kernel));
         let stats = gpu.render(&camera(&world, 10.0, -30.0, 0.0), &Options::default(), VOXEL).unwrap().stats;
         let ms = stats.gpu_ms.unwrap();
         assert!(ms.traverse > 0.0 && ms.shade > 0.0 && ms.total >= ms.traverse + ms.shade, "{ms:?}");
@@ -678,7 +686,7 @@ fn pictures_beyond_the_device_are_refused() {
         return;
     }
     let world = world(Kind::Menger, 9, Encoding::Solid, ColorMode::None);
-    let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+    let mut gpu = open(&world.scene, &world.resident, GpuOptions::default());
     // 2²⁸ pixels of 16 bytes of voxel each.
     let huge = Camera { width: 1 << 14, height: 1 << 14, ..camera(&world, 0.0, 0.0, 0.0) };
     let error = gpu.render(&huge, &flat(), VOXEL).unwrap_err().to_string();
@@ -747,7 +755,7 @@ fn scenes_beyond_a_binding_are_cut_into_several() {
     for kernel in Kernel::ALL {
         let draw = |binding_size| {
             let options = GpuOptions { binding_size, ..gpu_options(kernel) };
-            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, options)?;
+            let mut gpu = GpuRenderer::on_device(&world.scene, &world.resident, options, &GPU)?;
             let frames = poses(&world).into_iter().map(|c| gpu.render(&c, &repeat, VOXEL).unwrap());
             Ok::<_, planecast::Error>(frames.map(|f| (f.color, f.depth, f.voxel)).collect::<Vec<_>>())
         };
@@ -845,7 +853,7 @@ fn worlds_in_tiles_are_drawn_as_whole_ones() {
         if let Some(tint) = &tint {
             tint.paint(Arc::make_mut(&mut world.resident));
             let mut cpu = CpuRenderer::new(&world.scene, &world.resident);
-            let mut gpu = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+            let mut gpu = open(&world.scene, &world.resident, GpuOptions::default());
             for camera in poses(&world).into_iter().take(2) {
                 let expected = cpu.render(&camera, &flat(), VOXEL).unwrap();
                 let frame = gpu.render(&camera, &flat(), VOXEL).unwrap();
@@ -862,7 +870,7 @@ fn worlds_in_tiles_are_drawn_as_whole_ones() {
         planecast_encoder::format::write::write_scene_to(&world.scene, &mut file, path).unwrap();
         let source = Arc::new(PcastFile::from_bytes(path, file.into_inner()).unwrap());
         let mut tiles = Renderer::of_tiles(source, Device::Gpu, 256 << 20, Patience::Wait, tint, &mut |_| ()).unwrap();
-        let mut whole = GpuRenderer::new(&world.scene, &world.resident, GpuOptions::default()).unwrap();
+        let mut whole = open(&world.scene, &world.resident, GpuOptions::default());
         tiles.set_count(true);
         let mut uploaded = 0;
         let poses: Vec<Camera> = poses(&world).into_iter().take(3).collect();

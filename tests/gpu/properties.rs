@@ -4,21 +4,21 @@
 use super::common::any::{BOTH, Clumps, agree, any_camera, check, clumps, same, scaled, without_color};
 use super::common::compare::{mirrored, with_voxels};
 use super::common::{self, cullings, plain};
-use super::{VOXEL, gpu_options, gpu_wanted};
+use super::{VOXEL, gpu_options, gpu_wanted, open};
 use glam::DVec3;
 use planecast::{Camera, Culling, Frame, GpuRenderer, Kernel, Options};
 use proptest::prelude::*;
 
-/// Worlds a property: each takes a new device a kernel.
+/// Worlds per property: each takes a renderer per kernel.
 const WORLDS: u32 = 8;
 
-/// Cameras a world.
+/// Cameras per world.
 fn cameras() -> impl Strategy<Value = Vec<(DVec3, [f64; 3], f64)>> {
     proptest::collection::vec(any_camera(), 5)
 }
 
 fn renderer(world: &common::World, kernel: Kernel) -> GpuRenderer {
-    GpuRenderer::new(&world.scene, &world.resident, gpu_options(kernel)).unwrap()
+    open(&world.scene, &world.resident, gpu_options(kernel))
 }
 
 /// Draws `a` and `b` with each kernel, each camera with what belongs to it, and compares.
@@ -48,7 +48,7 @@ fn culling_never_changes_a_picture_of_any_world_on_the_gpu() {
         return;
     }
     let switches: Vec<Culling> = cullings().collect();
-    // Each combination of switches is shaders of its own: six a world.
+    // Each combination of switches is shaders of its own: six per world.
     let some = proptest::sample::subsequence(switches, 6);
     check(WORLDS, (clumps(), cameras(), some, any::<bool>(), any::<bool>()), |(c, cameras, switches, lod, repeat)| {
         let world = whole(&c);

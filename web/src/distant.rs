@@ -6,11 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use planecast::world::parcel::Packer;
-use planecast_encoder::format::arriving::HEAD;
 use planecast_encoder::format::ranged::RangedFile;
-use planecast_encoder::format::sheets::{Manifest, Sheets};
+use planecast_encoder::format::sheets::{Manifest, Sheets, is_manifest};
 use planecast_encoder::source::{ReadOptions, tiles};
-use planecast_encoder::store::ranges::Ranges;
+use planecast_encoder::store::ranges::{HEAD, Ranges};
 use planecast_encoder::{Error, Result, TileKey, TileSource};
 use wasm_bindgen::prelude::*;
 use web_sys::{XmlHttpRequest, XmlHttpRequestResponseType};
@@ -104,28 +103,17 @@ impl Ranges for Distant {
     }
 }
 
-fn is_manifest(name: &str) -> bool {
-    let path = name.split(['?', '#']).next().unwrap_or(name);
-    path.to_ascii_lowercase().ends_with(".pworld")
-}
-
 fn open(name: &str) -> Result<Arc<dyn TileSource>> {
     if name.starts_with("procedural:") {
         let none =
             || Error::Argument(format!("{name}: no world that is made tile by tile; try procedural:hills?size=inf"));
         return tiles::open(Path::new(name), &ReadOptions::default())?.ok_or_else(none);
     }
-    if !is_manifest(name) {
+    if !is_manifest(Path::new(name)) {
         return Ok(Arc::new(RangedFile::open(Box::new(Distant::open(name)?))?));
     }
     let manifest = Manifest::parse(Path::new(name), &fetch(name, None)?.1)?;
-    let open = |file: &Path| -> Result<Arc<dyn TileSource>> {
-        let name = file.to_string_lossy();
-        if is_manifest(&name) {
-            return Err(Error::format(file, "no scene, as sheets of a world are"));
-        }
-        open(&name)
-    };
+    let open = |file: &Path| open(&file.to_string_lossy());
     Ok(Arc::new(Sheets::new(Path::new(name), manifest, Box::new(open))?))
 }
 

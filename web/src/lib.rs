@@ -24,8 +24,8 @@ use planecast::render::drawer::{Drawer, Drawn, Draws};
 use planecast::view::control::{Control, Ground, Mode};
 use planecast::world::parcel::{Orders, Parcels};
 use planecast::{CpuRenderer, Kernel, Options, Outputs};
-use planecast_encoder::format::arriving;
 use planecast_encoder::format::write;
+use planecast_encoder::store::ranges::HEAD;
 use planecast_encoder::{ArrivingFile, Error, Scene, TileSource};
 use serde_json::json;
 use wasm_bindgen::prelude::*;
@@ -530,7 +530,7 @@ pub struct Reader {
 impl Reader {
     /// Bytes to fetch before anything of a file is known.
     pub fn head() -> f64 {
-        arriving::HEAD as f64
+        HEAD as f64
     }
 
     /// From the first bytes of a file; `len` is how many it has, where the server says so.

@@ -8,7 +8,7 @@ use std::path::Path;
 use crate::encode::{self, EncodeOptions, Watch};
 use crate::model::pieces::{Pieces, named};
 use crate::source::{self, ReadOptions};
-use crate::store::remote;
+use crate::store::{remote, shown};
 use crate::{Error, PcastFile, Result, format};
 
 /// How an input is read, and what was left out, for a person to be told before it is encoded.
@@ -42,7 +42,7 @@ pub fn scene(name: &Path) -> Result<PcastFile> {
     }
     remote::scene(name, is_scene)?.ok_or_else(|| {
         let what = "this is no scene, which is what this command takes; make one with encode";
-        Error::format(remote::shown(name), what)
+        Error::format(shown(name), what)
     })
 }
 

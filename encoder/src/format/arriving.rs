@@ -12,10 +12,6 @@ use bytemuck::pod_read_unaligned;
 use crate::format::{self, Header, TileEntry};
 use crate::{Error, PcastFile, Result, Scene};
 
-/// Bytes from the start of a file that are worth asking for before anything of it is known: the header and, but for worlds
-/// of more than 300,000 columns a side, the directory.
-pub const HEAD: u64 = 1 << 16;
-
 /// Bytes that the levels of the first picture take together at most, unless the coarsest alone takes more.
 const FIRST: u64 = 1 << 18;
 
@@ -49,7 +45,7 @@ enum State {
 }
 
 impl ArrivingFile {
-    /// From the first bytes of a file, [`HEAD`] or all of them; `len` is how many there are, where that is known. `path` is
+    /// From the first bytes of a file, [`HEAD`](crate::store::ranges::HEAD) or all of them; `len` is how many there are, where that is known. `path` is
     /// what errors call it. An error where they are not the begin of a scene file.
     pub fn new(path: impl AsRef<Path>, head: Vec<u8>, len: Option<u64>) -> Result<ArrivingFile> {
         let path = path.as_ref();
@@ -227,6 +223,7 @@ mod tests {
     use super::*;
     use crate::format::write;
     use crate::source::procedural::{Kind, procedural};
+    use crate::store::ranges::HEAD;
     use crate::{BuildOptions, build};
 
     fn scene() -> (Scene, Vec<u8>) {

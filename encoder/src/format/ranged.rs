@@ -13,11 +13,8 @@ use crate::format::MATTER;
 use crate::format::file::{Modes, Outline, Place, check_entries, heights, read_tile};
 use crate::format::{Grid, Header, TileEntry, metadata};
 use crate::model::tiles::{TileKey, TileSource};
-use crate::store::ranges::Ranges;
+use crate::store::ranges::{HEAD, Ranges};
 use crate::{About, ColorMode, Encoding, Error, Level, Result};
-
-/// Bytes that are asked for first: the header, and of most files the directory.
-const HEAD: u64 = 64 << 10;
 
 /// Directories up to this size are read whole at once, and their checksum with them; of others what is wanted, whose tiles have
 /// checksums of their own.

@@ -30,6 +30,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use crate::encode::mips;
 use crate::format::TILE;
 use crate::model::tiles::{TileKey, TileSource, tile_size};
+use crate::store::{is_url, shown};
 use crate::{ColorMode, Columns, Encoding, Error, Level, MipRule, Result, Rgb};
 
 /// Bytes of a manifest at most.
@@ -86,6 +87,11 @@ fn one() -> u32 {
 
 fn is_one(n: &u32) -> bool {
     *n == 1
+}
+
+/// Whether a file is a manifest, by its name: a path or a URL.
+pub fn is_manifest(name: &Path) -> bool {
+    shown(name).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("pworld"))
 }
 
 /// Opens a file of the world.
@@ -212,8 +218,10 @@ impl Sheets {
                 return Ok(source);
             }
         }
-        let url = crate::store::is_url(file);
-        let path = if url { file.to_owned() } else { self.path.parent().unwrap_or(Path::new("")).join(file) };
+        let path = if is_url(file) { file.to_owned() } else { self.path.parent().unwrap_or(Path::new("")).join(file) };
+        if is_manifest(&path) {
+            return Err(Error::format(shown(&path), "no scene, as sheets of a world are"));
+        }
         let source = (self.open)(&path)?;
         let mut files = lock();
         files.push_back((file.to_owned(), Arc::clone(&source)));

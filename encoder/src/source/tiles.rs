@@ -43,9 +43,9 @@ mod files {
     use crate::Error;
     use crate::encode::open::is_scene;
     use crate::format::ranged::RangedFile;
-    use crate::format::sheets::{MOST_TEXT, Manifest, Sheets};
+    use crate::format::sheets::{MOST_TEXT, Manifest, Sheets, is_manifest};
     use crate::store::ranges::Here;
-    use crate::store::remote;
+    use crate::store::{remote, shown};
 
     /// The world of a manifest; its sheets are opened when they are wanted.
     fn sheets(name: &Path, opts: &ReadOptions) -> Result<Sheets> {
@@ -58,20 +58,18 @@ mod files {
             }
             std::fs::read(name).map_err(|e| Error::io(name, "read", e))?
         };
-        let name = remote::shown(name);
+        let name = shown(name);
         // Colours by height are the world's, not each sheet's.
         let opts = ReadOptions { ramp: None, ..opts.clone() };
         let manifest = Manifest::parse(&name, &text)?;
         let open = move |file: &Path| {
-            let nested = remote::shown(file).extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld"));
-            let found = if nested { None } else { super::open(file, &opts)? };
-            found.ok_or_else(|| Error::format(remote::shown(file), "no scene, as sheets of a world are"))
+            super::open(file, &opts)?.ok_or_else(|| Error::format(shown(file), "no scene, as sheets of a world are"))
         };
         Sheets::new(&name, manifest, Box::new(open))
     }
 
     pub fn open(name: &Path, opts: &ReadOptions) -> Result<Option<Arc<dyn TileSource>>> {
-        if remote::shown(name).extension().is_some_and(|e| e.eq_ignore_ascii_case("pworld")) {
+        if is_manifest(name) {
             return sheets(name, opts).map(|sheets| Some(Arc::new(sheets) as Arc<dyn TileSource>));
         }
         if remote::is_url(name) {

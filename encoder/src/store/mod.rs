@@ -9,7 +9,7 @@ pub mod ranges;
 pub mod remote;
 pub(crate) mod scratch;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const SCHEMES: [&str; 11] = ["s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https", "file"];
 
@@ -17,4 +17,13 @@ const SCHEMES: [&str; 11] = ["s3", "s3a", "gs", "az", "adl", "azure", "abfs", "a
 pub fn is_url(path: &Path) -> bool {
     let scheme = path.to_str().and_then(|text| text.split_once("://"));
     scheme.is_some_and(|(scheme, _)| SCHEMES.contains(&scheme))
+}
+
+/// A name as it may be told: of a URL without its query, which may be secret. A page knows files by URLs alone.
+pub fn shown(name: &Path) -> PathBuf {
+    if !is_url(name) && cfg!(not(target_arch = "wasm32")) {
+        return name.to_owned();
+    }
+    let text = name.to_string_lossy();
+    PathBuf::from(text.split(['?', '#']).next().unwrap_or_default())
 }

@@ -7,6 +7,10 @@ use crate::Result;
 #[cfg(not(target_arch = "wasm32"))]
 pub use here::Here;
 
+/// Bytes from the start of a file that are worth asking for before anything of it is known: they tell what it is, and hold a
+/// scene's header and, but for worlds of more than 300,000 columns a side, its directory.
+pub const HEAD: u64 = 64 << 10;
+
 /// A file of which ranges can be read, here or elsewhere.
 pub trait Ranges: Send + Sync {
     /// What errors call it.

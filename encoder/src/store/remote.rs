@@ -87,14 +87,6 @@ pub(crate) fn text(url: &Path, _: u64) -> Result<Vec<u8>> {
     without(url)
 }
 
-/// A URL as it may be told: without its query, which may be secret.
-pub(crate) fn shown(url: &Path) -> PathBuf {
-    #[cfg(feature = "object-store")]
-    return object::shown(url);
-    #[cfg(not(feature = "object-store"))]
-    url.to_owned()
-}
-
 /// What tells one state of an object from another: its size, time and tag.
 #[cfg(feature = "object-store")]
 pub fn state(url: &Path) -> Result<String> {

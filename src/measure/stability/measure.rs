@@ -68,11 +68,16 @@ impl<'a> Drawer<'a> {
         Drawer { device: "cpu".into(), kernel: "raycast".into(), exact: false, draw: Box::new(draw) }
     }
 
-    /// A kernel of the GPU, with wgpu's runtime checks or without.
+    /// A kernel on a GPU, with wgpu's runtime checks or without.
     #[cfg(feature = "gpu")]
-    pub fn gpu(world: &'a World, kernel: crate::Kernel, trusted: bool) -> Result<Drawer<'a>> {
+    pub fn gpu(
+        gpu: &crate::gpu::present::Device,
+        world: &'a World,
+        kernel: crate::Kernel,
+        trusted: bool,
+    ) -> Result<Drawer<'a>> {
         let options = crate::GpuOptions { kernel, trusted, ..crate::GpuOptions::default() };
-        let mut renderer = crate::GpuRenderer::new(&world.scene, &world.resident, options)?;
+        let mut renderer = crate::GpuRenderer::on_device(&world.scene, &world.resident, options, gpu)?;
         let (device, kernel) = (renderer.device().0.to_string(), kernel.name().to_string());
         let draw = move |camera: &Camera, options: &Options| renderer.render(camera, options, Outputs { voxel: true });
         Ok(Drawer { device, kernel, exact: false, draw: Box::new(draw) })

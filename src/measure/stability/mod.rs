@@ -31,6 +31,8 @@ pub use measure::{Drawer, Row, measure};
 pub use worlds::{World, WorldName};
 
 use crate::error::Result;
+#[cfg(feature = "gpu")]
+use crate::gpu::present::Device as Gpu;
 use crate::render::device::Device;
 use measure::Truth;
 
@@ -45,10 +47,11 @@ pub fn run(device: Device, tell: &mut dyn FnMut(&str)) -> Result<Vec<Row>> {
             names.push(case.world);
         }
     }
+    let gpu = opened(device)?;
     for (k, name) in names.iter().enumerate() {
         tell(&format!("world {} of {}: {name:?}", k + 1, names.len()));
         let world = name.make();
-        let mut drawers = drawers(&world, device)?;
+        let mut drawers = drawers(&world, device, gpu.as_ref())?;
         for case in cases.iter().filter(|c| c.world == *name) {
             let truth = Truth::new(case, &world)?;
             for drawer in &mut drawers {
@@ -59,8 +62,26 @@ pub fn run(device: Device, tell: &mut dyn FnMut(&str)) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
+#[cfg(not(feature = "gpu"))]
+enum Gpu {}
+
+/// The GPU, where it is to draw and there is one.
+fn opened(device: Device) -> Result<Option<Gpu>> {
+    #[cfg(feature = "gpu")]
+    match device {
+        Device::Gpu => return Gpu::headless().map(Some),
+        Device::Auto => return Ok(Gpu::headless().ok()),
+        Device::Cpu | Device::Exact | Device::AllGpus => {}
+    }
+    #[cfg(not(feature = "gpu"))]
+    if device == Device::Gpu {
+        return Err(crate::Error::Device("this program was built without the gpu feature; try --device cpu".into()));
+    }
+    Ok(None)
+}
+
 /// All that a device draws with.
-fn drawers(world: &World, device: Device) -> Result<Vec<Drawer<'_>>> {
+fn drawers<'a>(world: &'a World, device: Device, gpu: Option<&Gpu>) -> Result<Vec<Drawer<'a>>> {
     let mut drawers = Vec::new();
     if matches!(device, Device::Cpu | Device::Auto) {
         drawers.extend([Drawer::cpu(world), Drawer::cpu_f64(world)]);
@@ -69,10 +90,10 @@ fn drawers(world: &World, device: Device) -> Result<Vec<Drawer<'_>>> {
         drawers.push(Drawer::exact(world));
     }
     #[cfg(feature = "gpu")]
-    if matches!(device, Device::Gpu | Device::Auto) {
+    if let Some(gpu) = gpu {
         // Of the baseline through a tree of masks the catalogue's bounds are not known.
         for kernel in crate::Kernel::ALL.into_iter().filter(|&k| k != crate::Kernel::Raycast) {
-            match Drawer::gpu(world, kernel, true) {
+            match Drawer::gpu(gpu, world, kernel, true) {
                 Ok(drawer) => drawers.push(drawer),
                 Err(_) if device == Device::Auto => break,
                 Err(e) => return Err(e),
@@ -80,8 +101,6 @@ fn drawers(world: &World, device: Device) -> Result<Vec<Drawer<'_>>> {
         }
     }
     #[cfg(not(feature = "gpu"))]
-    if device == Device::Gpu {
-        return Err(crate::Error::Device("this program was built without the gpu feature; try --device cpu".into()));
-    }
+    let _ = gpu;
     Ok(drawers)
 }

@@ -12,11 +12,9 @@ use reqwest::{Client, Response, StatusCode};
 
 use super::object::{one_line, runtime};
 use crate::encode::memory;
+use crate::store::ranges::HEAD;
 use crate::store::scratch;
 use crate::{Error, Result};
-
-/// Bytes that the first request asks for: enough to tell what a file is, and whether the server gives ranges at all.
-const HEAD: u64 = 64 << 10;
 
 /// What errors say of a file that is another by now.
 pub const CHANGED: &str = "has another file there by now; open it again";

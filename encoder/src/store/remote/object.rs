@@ -18,12 +18,10 @@ use super::http::Http;
 use crate::encode::memory;
 use crate::model::pieces::{Pieces, keeping};
 use crate::source::{self, Format, ReadOptions};
-use crate::store::ranges::Ranges;
-use crate::store::scratch;
+use crate::store::ranges::{HEAD, Ranges};
+use crate::store::{scratch, shown};
 use crate::{Error, PcastFile, Result};
 
-/// Bytes of an object that tell what it is.
-const HEAD: u64 = 64 << 10;
 /// Objects up to this size are put in one request, larger ones in pieces of it or more.
 const PIECE: u64 = 16 << 20;
 /// Pieces of an upload that S3 allows are 10,000.
@@ -62,12 +60,6 @@ pub(super) fn one_line(text: &str) -> String {
 fn parse(url: &Path) -> Result<url::Url> {
     let parsed = url::Url::parse(&url.to_string_lossy());
     parsed.map_err(|e| Error::Argument(format!("{}: no URL: {e}", shown(url).display())))
-}
-
-/// A URL as it is told: without its query, which may hold what others must not know.
-pub(super) fn shown(url: &Path) -> PathBuf {
-    let text = url.to_string_lossy();
-    PathBuf::from(text.split(['?', '#']).next().unwrap_or_default())
 }
 
 /// The store that a URL names, and the object in it.
