@@ -44,9 +44,8 @@ impl Device {
         if !adapter.is_surface_supported(surface) {
             return Err(Error::Device(format!("{}: cannot draw in this window", info.name)));
         }
-        let (device, queue) = pollster::block_on(adapter.request_device(&Engine::wishes(&adapter)))
-            .map_err(|e| Error::Device(format!("{}: cannot open the device ({e})", info.name)))?;
-        Ok((adapter, Device::new(info, device, queue)))
+        let device = Device::on(&adapter)?;
+        Ok((adapter, device))
     }
 
     /// An error if the device reported one since it was opened.
@@ -585,7 +584,6 @@ mod tests {
 
     use super::*;
     use crate::film::tour::{self, View};
-    use crate::gpu::engine::instance;
 
     #[test]
     fn present_shader_is_valid() {
@@ -686,10 +684,7 @@ mod tests {
             eprintln!("skipped: PLANECAST_NO_GPU=1");
             return None;
         }
-        let adapter =
-            Engine::choose(&engine::instance(), None).expect("a Vulkan device, software will do (./test installs one)");
-        let (device, queue) = pollster::block_on(adapter.request_device(&Device::wishes(&adapter))).unwrap();
-        Some(Device::new(adapter.get_info(), device, queue))
+        Some(Device::headless().expect("a Vulkan device, software will do (./test installs one)"))
     }
 
     #[test]
