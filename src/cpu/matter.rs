@@ -7,6 +7,7 @@
 //! the ray ends, and what it has seen stands for the rest.
 
 use crate::cpu::exact::view_distance;
+use crate::cpu::traverse::has_avx2;
 use crate::frame::camera::Camera;
 use crate::frame::options::Options;
 use crate::frame::picture::Frame;
@@ -83,7 +84,7 @@ struct Ray {
 
 impl Ray {
     /// The span ends.
-    #[inline]
+    #[inline(always)]
     fn flush(&mut self, entries: &[Entry]) {
         let entry = &entries[self.code];
         let taken = entry.extinction * self.len;
@@ -93,7 +94,7 @@ impl Ray {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn add(&mut self, entry: &Entry, taken: f32) {
         if entry.mode == Mode::Additive {
             (0..3).for_each(|i| self.light.color[i] += self.light.left * taken * entry.color[i]);
@@ -107,7 +108,7 @@ impl Ray {
     }
 
     /// A way of `len` through `code`, behind what was before. Whether the pixel stays open.
-    #[inline]
+    #[inline(always)]
     fn pass(&mut self, code: usize, len: f32, entries: &[Entry]) -> bool {
         if code == self.code {
             self.len += len;
@@ -170,6 +171,7 @@ impl<'a> Walk<'a> {
     }
 
     /// What the ray from `origin` along `dir` meets before `t_end`, in lengths of `dir`.
+    #[inline(always)]
     fn light(&self, origin: DVec3, dir: DVec3, t_end: f64) -> Light {
         let [nx, _, nz] = self.matter.levels[0].dims().map(f64::from);
         let (mut start, mut end) = (0.0f64, t_end);
@@ -231,6 +233,7 @@ impl<'a> Walk<'a> {
     }
 
     /// The level to draw at a distance, and where the next begins.
+    #[inline(always)]
     fn level(&self, t: f32) -> (u32, f32) {
         if t < self.finest * 2.0 || self.coarsest == 0 {
             return (0, if self.coarsest == 0 { f32::INFINITY } else { self.finest * 2.0 });
@@ -246,7 +249,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Columns of a level from `t` to `stop`; whether the pixel stays open.
-    #[inline]
+    #[inline(always)]
     fn walk(&self, level: u32, near: &Near, mut t: f32, stop: f32, ray: &mut Ray) -> bool {
         let matter = &*self.matter.levels[level as usize];
         let look = &self.look.levels[level as usize];
@@ -393,7 +396,7 @@ struct Near {
 }
 
 /// Bits of the layers between two heights.
-#[inline]
+#[inline(always)]
 fn layers(low: f32, high: f32, shift: u32) -> u64 {
     let of = |y: f32| ((y.max(0.0) as u32) >> shift).min(63);
     (u64::MAX << of(low)) & (u64::MAX >> (63 - of(high)))
@@ -407,20 +410,53 @@ pub fn compose(matter: &SceneMatter, camera: &Camera, options: &Options, frame: 
     }
     let walk = Walk::new(matter, &look, camera, options);
     let rays = Rays::new(camera, options.projection, matter.levels[0].dims());
-    over(&rays, frame, |origin, dir, depth| walk.light(origin, dir, depth));
+    let avx2 = has_avx2();
+    rows(frame).for_each(|(y, (color, depth))| {
+        let row = Row { rays: &rays, y: y as u32, color, depth };
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: `has_avx2` has seen that the processor can.
+            return unsafe { compose_row_avx2(&walk, row) };
+        }
+        let _ = avx2;
+        row.over(|origin, dir, depth| walk.light(origin, dir, depth));
+    });
+}
+
+/// The same code for processors with AVX2; the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn compose_row_avx2(walk: &Walk<'_>, row: Row<'_>) {
+    row.over(|origin, dir, depth| walk.light(origin, dir, depth));
+}
+
+/// A row of a picture.
+struct Row<'a> {
+    rays: &'a Rays,
+    y: u32,
+    color: &'a mut [[u8; 4]],
+    depth: &'a [f32],
+}
+
+impl Row<'_> {
+    #[inline(always)]
+    fn over(self, light: impl Fn(DVec3, DVec3, f64) -> Light) {
+        for (x, (color, &depth)) in (0..).zip(self.color.iter_mut().zip(self.depth)) {
+            let Some(dir) = self.rays.direction(x, self.y) else { continue };
+            *color = light(self.rays.origin(x, self.y), dir, depth.into()).over(*color);
+        }
+    }
+}
+
+/// Colours and depths of each row of a picture.
+fn rows(frame: &mut Frame) -> impl IndexedParallelIterator<Item = (usize, (&mut [[u8; 4]], &[f32]))> {
+    let width = frame.width as usize;
+    frame.color.par_chunks_mut(width).zip(frame.depth.par_chunks(width)).enumerate()
 }
 
 /// Each pixel that shows anything behind the light that `light` finds along its ray up to its depth.
 pub fn over(rays: &Rays, frame: &mut Frame, light: impl Fn(DVec3, DVec3, f64) -> Light + Sync) {
-    let width = frame.width as usize;
-    let rows = frame.color.par_chunks_mut(width).zip(frame.depth.par_chunks(width)).enumerate();
-    rows.for_each(|(y, (color, depth))| {
-        for (x, (color, &depth)) in color.iter_mut().zip(depth).enumerate() {
-            let (x, y) = (x as u32, y as u32);
-            let Some(dir) = rays.direction(x, y) else { continue };
-            *color = light(rays.origin(x, y), dir, depth.into()).over(*color);
-        }
-    });
+    rows(frame).for_each(|(y, (color, depth))| Row { rays, y: y as u32, color, depth }.over(&light));
 }
 
 #[cfg(test)]

@@ -54,16 +54,17 @@ impl<'a> Occupancy<'a> {
     }
 
     /// The normal of the voxel at a point given from the eye, along a ray, drawn so large; `None` where what is around it has no side.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, from_eye: Vec3, ray: Vec3, size: f32) -> Option<Vec3> {
         let l = (((size.to_bits() >> 23) as i32 - 127).max(0) as u32).min(self.levels - 1);
         let level = &self.resident.levels[l as usize];
         let into = ray * ((1u32 << l) as f32 * INTO / ray.length());
         let at = from_eye + into;
-        let cell = [0, 1, 2].map(|k| {
-            let floor = ([at.x, at.y, at.z][k] + self.fract[k]).floor() as i32;
-            self.eye[k].wrapping_add(floor) >> l
-        });
+        let mut cell = [0; 3];
+        for k in 0..3 {
+            let floor = (at[k] + self.fract[k]).floor() as i32;
+            cell[k] = self.eye[k].wrapping_add(floor) >> l;
+        }
         let mut sum = [0i32; 3];
         for [dx, dz, reach] in COLUMNS {
             let Some(ix) = self.index(level, [cell[0].wrapping_add(dx), cell[2].wrapping_add(dz)]) else { continue };

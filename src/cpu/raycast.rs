@@ -3,11 +3,12 @@
 
 use crate::cpu::chunks_mut;
 use crate::cpu::remap::{Row, ray_inverse};
-use crate::cpu::traverse::{Counters, Real, SKY};
+use crate::cpu::traverse::{Counters, Real, SKY, has_avx2};
 use crate::frame::camera::Camera;
 use crate::frame::plane_setup::{Plane, Setup};
 use crate::world::tables::Resident;
 use crate::world::tree::{Cell, Cursor, Tree};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// "Never", safe to multiply with.
@@ -33,31 +34,66 @@ pub fn raycast(
     let scene = View::new(resident, setup);
     let voxels = chunks_mut(voxel, w, camera.height as usize);
     let rows = color.par_chunks_mut(w).zip(depth.par_chunks_mut(w)).zip(voxels);
+    let avx2 = has_avx2();
     let counted = rows.enumerate().map(|(r, ((color, depth), voxel))| {
         let y = r as f64 + 0.5;
         let start = camera.ray(&basis, 0.5, y);
         let step = (camera.ray(&basis, w as f64 + 0.5, y) - start) / w as f64;
-        let mut rays = Rays { view: &scene, cursor: Cursor::new(tree), counters: Counters::default() };
-        let row = Row::new(setup, r as u32, camera.width);
-        for stretch in row.stretches() {
-            let fan = &setup.fans[stretch.fan];
-            row.gather(stretch, |x, place| {
-                let plane = &setup.planes[(fan.first_plane + place.plane) as usize];
-                let met = rays.walk((start + step * x as f64).to_array().map(|d| d as f32), plane);
-                let Met { voxel: v, depth: z, color: c } =
-                    met.unwrap_or(Met { voxel: SKY, depth: f32::INFINITY, color: 0 });
-                (color[x], depth[x]) = (c, z);
-                if let Some(voxel) = voxel.get_mut(x) {
-                    *voxel = v;
-                }
-            });
+        let rays = Rays { view: &scene, cursor: Cursor::new(tree), counters: Counters::default() };
+        let task = RowTask { setup, row: Row::new(setup, r as u32, camera.width), start, step, color, depth, voxel };
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: `has_avx2` has seen that the processor can.
+            return unsafe { raycast_row_avx2(rays, task) };
         }
-        rays.counters
+        let _ = avx2;
+        raycast_row::<false>(rays, task)
     });
     counted.reduce(Counters::default, |mut a, b| {
         a += b;
         a
     })
+}
+
+/// A row of a picture.
+struct RowTask<'a> {
+    setup: &'a Setup,
+    row: Row<'a>,
+    /// The first pixel's ray, and from one to the next.
+    start: DVec3,
+    step: DVec3,
+    color: &'a mut [u32],
+    depth: &'a mut [f32],
+    /// Or none.
+    voxel: &'a mut [[i32; 4]],
+}
+
+/// The same code for processors with AVX2; the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn raycast_row_avx2(rays: Rays<'_>, task: RowTask<'_>) -> Counters {
+    raycast_row::<true>(rays, task)
+}
+
+/// With a parameter of which nothing depends but that each caller has a closure of its own, which is inlined there.
+#[inline(always)]
+fn raycast_row<const AVX2: bool>(mut rays: Rays<'_>, task: RowTask<'_>) -> Counters {
+    let RowTask { setup, row, start, step, color, depth, voxel } = task;
+    for stretch in row.stretches() {
+        let fan = &setup.fans[stretch.fan];
+        row.gather(stretch, |x, place| {
+            let plane = &setup.planes[(fan.first_plane + place.plane) as usize];
+            let ray = start + step * x as f64;
+            let met = rays.walk([ray.x as f32, ray.y as f32, ray.z as f32], plane);
+            let Met { voxel: v, depth: z, color: c } =
+                met.unwrap_or(Met { voxel: SKY, depth: f32::INFINITY, color: 0 });
+            (color[x], depth[x]) = (c, z);
+            if let Some(voxel) = voxel.get_mut(x) {
+                *voxel = v;
+            }
+        });
+    }
+    rays.counters
 }
 
 /// What all rays share.

@@ -123,7 +123,7 @@ impl<'a> Shadows<'a> {
     }
 
     /// Whether the sun shines on a point, given from the eye, that is drawn with voxels so large.
-    #[inline]
+    #[inline(always)]
     pub fn lit(&self, from_eye: Vec3, size: f32) -> bool {
         let [dx, dy, dz] = self.sun;
         if dy <= 0.0 {
@@ -131,7 +131,7 @@ impl<'a> Shadows<'a> {
         }
         let level = (((size.to_bits() >> 23) as i32 - 127).max(0) as u32).min(self.levels - 1);
         let at = [from_eye.x + self.fract[0], from_eye.z + self.fract[2]];
-        let floor = at.map(f32::floor);
+        let floor = [at[0].floor(), at[1].floor()];
         let start = [at[0] - floor[0], at[1] - floor[1]];
         let cell = [self.eye[0].wrapping_add(floor[0] as i32), self.eye[2].wrapping_add(floor[1] as i32)];
         let height = from_eye.y + (self.eye[1] as f32 + self.fract[1]);

@@ -8,10 +8,11 @@
 
 use crate::cpu::remap::{Pixels, ray_inverse};
 use crate::cpu::shadow::{PAST, Tops};
+use crate::cpu::traverse::has_avx2;
 use crate::frame::camera::Camera;
 use crate::frame::plane_setup::Setup;
 use crate::world::tables::{Resident, ResidentLevel, Table};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// A column is drawn as part of a surface where it is wider than so many pixels.
@@ -45,18 +46,22 @@ impl<'a> Ground<'a> {
         Some(Ground { level, heights, fractions: &resident.fractions, dims, repeats })
     }
 
+    /// Where in the world a place lies, if it does.
+    #[inline(always)]
+    fn place(&self, [x, z]: [i32; 2]) -> Option<[i32; 2]> {
+        let [nx, nz] = self.dims;
+        if (x as u32) < nx as u32 && (z as u32) < nz as u32 {
+            return Some([x, z]);
+        }
+        let x = if self.repeats[0] { x.rem_euclid(nx) } else { x };
+        let z = if self.repeats[1] { z.rem_euclid(nz) } else { z };
+        ((x as u32) < nx as u32 && (z as u32) < nz as u32).then_some([x, z])
+    }
+
     /// Number of the column at a place, if there is one.
     #[inline(always)]
     pub fn index(&self, cell: [i32; 2]) -> Option<usize> {
-        let mut at = [0; 2];
-        for axis in 0..2 {
-            at[axis] = match self.repeats[axis] {
-                true => cell[axis].rem_euclid(self.dims[axis]),
-                false if (0..self.dims[axis]).contains(&cell[axis]) => cell[axis],
-                false => return None,
-            };
-        }
-        Some((at[1] * self.dims[0] + at[0]) as usize)
+        self.place(cell).map(|[x, z]| (z * self.dims[0] + x) as usize)
     }
 
     /// Height of the surface over a column's middle, [`HOLE`] where it has no voxels.
@@ -68,35 +73,47 @@ impl<'a> Ground<'a> {
 
     /// Columns at the corners of the patch that begins at a column's middle: beyond the world's edge it goes on level.
     #[inline(always)]
-    pub fn columns(&self, cell: [i32; 2]) -> [usize; 4] {
+    pub fn columns(&self, [x, z]: [i32; 2]) -> [usize; 4] {
+        let [nx, nz] = self.dims;
+        if x >= 0 && z >= 0 && x < nx - 1 && z < nz - 1 {
+            let ix = (z * nx + x) as usize;
+            return [ix, ix + 1, ix + nx as usize, ix + nx as usize + 1];
+        }
+        self.columns_at_an_edge([x, z])
+    }
+
+    #[cold]
+    fn columns_at_an_edge(&self, [x, z]: [i32; 2]) -> [usize; 4] {
         let put = |axis: usize, v: i32| match self.repeats[axis] {
             true => v.rem_euclid(self.dims[axis]),
             false => v.clamp(0, self.dims[axis] - 1),
         };
-        let ([x0, x1], [z0, z1]) = ([0, 1].map(|d| put(0, cell[0] + d)), [0, 1].map(|d| put(1, cell[1] + d)));
+        let (x0, x1, z0, z1) = (put(0, x), put(0, x + 1), put(1, z), put(1, z + 1));
         [[x0, z0], [x1, z0], [x0, z1], [x1, z1]].map(|[x, z]| (z * self.dims[0] + x) as usize)
     }
 
     /// `a + b·u + c·v + d·u·v` of that patch; a corner without voxels is as high as the mean of the others.
     #[inline(always)]
-    pub fn patch(&self, columns: [usize; 4]) -> [f32; 4] {
-        let mut h = columns.map(|ix| self.height(ix));
-        let whole = h.map(|h| if h == HOLE { 0.0 } else { 1.0f32 });
-        let n = whole.iter().sum::<f32>();
-        if n < 4.0 {
-            let mean = h.iter().zip(whole).map(|(h, w)| h * w).sum::<f32>() / n.max(1.0);
-            h = h.map(|h| if h == HOLE { mean } else { h });
+    pub fn patch(&self, [i, j, k, l]: [usize; 4]) -> [f32; 4] {
+        let mut h = [self.height(i), self.height(j), self.height(k), self.height(l)];
+        if h[0] == HOLE || h[1] == HOLE || h[2] == HOLE || h[3] == HOLE {
+            h = filled(h);
         }
         [h[0], h[1] - h[0], h[2] - h[0], h[0] - h[1] - h[2] + h[3]]
+    }
+
+    /// The patch that holds a place of level 0, given by its column and what is left over: where it begins, and how far in.
+    #[inline(always)]
+    fn corner([x, z]: [i32; 2], [u, v]: [f32; 2]) -> ([i32; 2], [f32; 2]) {
+        let (u, v) = (u - 0.5, v - 0.5);
+        let floor = [u.floor(), v.floor()];
+        ([x.wrapping_add(floor[0] as i32), z.wrapping_add(floor[1] as i32)], [u - floor[0], v - floor[1]])
     }
 
     /// Height of the surface at a place of level 0: columns, and what is left over.
     #[inline(always)]
     pub fn at(&self, cell: [i32; 2], rest: [f32; 2]) -> f32 {
-        let at = rest.map(|r| r - 0.5);
-        let floor = at.map(f32::floor);
-        let corner = [0, 1].map(|k| cell[k].wrapping_add(floor[k] as i32));
-        let [u, v] = [0, 1].map(|k| at[k] - floor[k]);
+        let (corner, [u, v]) = Ground::corner(cell, rest);
         let [a, b, c, d] = self.patch(self.columns(corner));
         a + b * u + c * v + d * u * v
     }
@@ -105,24 +122,11 @@ impl<'a> Ground<'a> {
     /// about `apart` columns to either side.
     #[inline(always)]
     pub fn normal(&self, cell: [i32; 2], rest: [f32; 2], apart: f32) -> (Vec3, f32) {
-        let at = rest.map(|r| r - 0.5);
-        let floor = at.map(f32::floor);
-        let corner = [0, 1].map(|k| cell[k].wrapping_add(floor[k] as i32));
-        let [u, v] = [0, 1].map(|k| at[k] - floor[k]);
+        let ([x, z], [u, v]) = Ground::corner(cell, rest);
         // Whole columns: the same place in each patch.
         let away = (apart + 0.5).min(65_536.0) as i32;
-        let (first, last) = (corner.map(|c| c.wrapping_sub(away)), corner.map(|c| c.wrapping_add(away + 1)));
-        let inside = (0..2).all(|k| first[k] >= 0 && last[k] < self.dims[k]);
         let height = |dx: i32, dz: i32| {
-            let [x, z] = [corner[0].wrapping_add(dx), corner[1].wrapping_add(dz)];
-            let columns = match inside {
-                true => {
-                    let (ix, row) = ((z * self.dims[0] + x) as usize, self.dims[0] as usize);
-                    [ix, ix + 1, ix + row, ix + row + 1]
-                }
-                false => self.columns([x, z]),
-            };
-            let [a, b, c, d] = self.patch(columns);
+            let [a, b, c, d] = self.patch(self.columns([x.wrapping_add(dx), z.wrapping_add(dz)]));
             a + b * u + c * v + d * u * v
         };
         let per = 0.5 / away as f32;
@@ -132,6 +136,7 @@ impl<'a> Ground<'a> {
     }
 
     /// Colours of four columns' tops, mixed; those without voxels have no part.
+    #[inline(always)]
     pub fn color(&self, columns: [usize; 4], [u, v]: [f32; 2]) -> u32 {
         let (mut sum, mut all) = ([0.0f32; 3], 0.0f32);
         for (ix, share) in columns.into_iter().zip([(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v]) {
@@ -149,6 +154,14 @@ impl<'a> Ground<'a> {
         let [r, g, b] = sum.map(|sum| ((sum * scale + 0.5) as u32).min(255));
         r | g << 8 | b << 16 | 0xFF00_0000
     }
+}
+
+/// Heights with the mean of the others in place of those of holes.
+#[cold]
+fn filled(h: [f32; 4]) -> [f32; 4] {
+    let whole = h.map(|h| if h == HOLE { 0.0 } else { 1.0f32 });
+    let mean = h.iter().zip(whole).map(|(h, w)| h * w).sum::<f32>() / whole.iter().sum::<f32>().max(1.0);
+    h.map(|h| if h == HOLE { mean } else { h })
 }
 
 impl Tops {
@@ -198,13 +211,13 @@ impl<'a> Normals<'a> {
     }
 
     /// At a point given from the eye that is drawn with voxels so large, in the world; `None` where that is a wall.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, from_eye: Vec3, size: f32) -> Option<Vec3> {
-        let at = [from_eye.x + self.fract[0], from_eye.z + self.fract[2]];
-        let floor = at.map(f32::floor);
-        let cell = [0, 1].map(|k| self.eye[2 * k].wrapping_add(floor[k] as i32));
+        let (x, z) = (from_eye.x + self.fract[0], from_eye.z + self.fract[2]);
+        let floor = [x.floor(), z.floor()];
+        let cell = [self.eye[0].wrapping_add(floor[0] as i32), self.eye[2].wrapping_add(floor[1] as i32)];
         self.ground.index(cell).filter(|&ix| self.ground.heights[ix] > 0)?;
-        let (normal, height) = self.ground.normal(cell, [at[0] - floor[0], at[1] - floor[1]], size);
+        let (normal, height) = self.ground.normal(cell, [x - floor[0], z - floor[1]], size);
         let y = from_eye.y + (self.eye[1] as f32 + self.fract[1]);
         let steep = (1.0 - normal.y * normal.y).max(0.0).sqrt() / normal.y;
         (y > height - (1.5 + steep) * size).then_some(normal)
@@ -239,33 +252,68 @@ pub fn smooth(resident: &Resident, tops: &Tops, setup: &Setup, camera: &Camera, 
     let mut voxels = voxel.chunks_mut(w);
     let rows = color.chunks_mut(w).zip(depth.chunks_mut(w));
     let rows: Vec<_> = rows.map(|row| (row, voxels.next().unwrap_or_default())).collect();
+    let avx2 = has_avx2();
     rows.into_par_iter().enumerate().for_each(|(r, ((color, depth), voxel))| {
         let y = r as f64 + 0.5;
         let start = camera.ray(&basis, 0.5, y);
         let step = (camera.ray(&basis, w as f64 + 0.5, y) - start) / w as f64;
-        for x in 0..w {
-            let ray = (start + step * x as f64).to_array().map(|d| d as f32);
-            // What lies behind a block that the surface does not reach, the ray may find far away.
-            let end = if depth[x] < near { f32::INFINITY } else { near };
-            let none = match walk.meet(ray, end) {
-                Met::Surface { depth: met, column, color: shown, y } => {
-                    (color[x], depth[x]) = (shown, met);
-                    if let Some(voxel) = voxel.get_mut(x) {
-                        *voxel = [column[0], y, column[1], 0];
-                    }
-                    false
-                }
-                Met::Nothing => depth[x] < near,
-                Met::Inside => false,
-            };
-            if none {
-                (color[x], depth[x]) = (0, f32::INFINITY);
+        let row = Row { walk: &walk, start, step, near, color, depth, voxel };
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: `has_avx2` has seen that the processor can.
+            return unsafe { smooth_row_avx2(row) };
+        }
+        let _ = avx2;
+        smooth_row(row);
+    });
+}
+
+/// A row of a picture.
+struct Row<'a> {
+    walk: &'a Walk<'a>,
+    /// The first pixel's ray, and from one to the next.
+    start: DVec3,
+    step: DVec3,
+    near: f32,
+    color: &'a mut [u32],
+    depth: &'a mut [f32],
+    /// Or none.
+    voxel: &'a mut [[i32; 4]],
+}
+
+/// The same code for processors with AVX2; the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn smooth_row_avx2(row: Row<'_>) {
+    smooth_row(row);
+}
+
+#[inline(always)]
+fn smooth_row(row: Row<'_>) {
+    let Row { walk, start, step, near, color, depth, voxel } = row;
+    for x in 0..color.len() {
+        let ray = start + step * x as f64;
+        let ray = [ray.x as f32, ray.y as f32, ray.z as f32];
+        // What lies behind a block that the surface does not reach, the ray may find far away.
+        let end = if depth[x] < near { f32::INFINITY } else { near };
+        let none = match walk.meet(ray, end) {
+            Met::Surface { depth: met, column, color: shown, y } => {
+                (color[x], depth[x]) = (shown, met);
                 if let Some(voxel) = voxel.get_mut(x) {
-                    *voxel = [-1; 4];
+                    *voxel = [column[0], y, column[1], 0];
                 }
+                false
+            }
+            Met::Nothing => depth[x] < near,
+            Met::Inside => false,
+        };
+        if none {
+            (color[x], depth[x]) = (0, f32::INFINITY);
+            if let Some(voxel) = voxel.get_mut(x) {
+                *voxel = [-1; 4];
             }
         }
-    });
+    }
 }
 
 /// Which squares a walk begins with: those of `2^SQUARE_SHIFT · 2^FIRST` columns a side.
@@ -307,11 +355,12 @@ impl<'a> Walk<'a> {
         }
     }
 
+    #[inline(always)]
     fn meet(&self, ray: [f32; 3], end: f32) -> Met {
         let [dx, dy, dz] = ray;
-        let dir = [dx, dz];
-        let inverse = dir.map(|d| 1.0 / if d.abs() < 1e-12 { if d < 0.0 { -1e-12 } else { 1e-12 } } else { d });
-        let dims = self.ground.dims;
+        let ([fx, fz], [nx, nz]) = (self.fract, self.ground.dims);
+        let [ix, iz] = [inverse(dx), inverse(dz)];
+        let (forth_x, forth_z) = (i32::from(dx >= 0.0), i32::from(dz >= 0.0));
         let mut end = end.min(self.view / (dx * dx + dz * dz).sqrt().max(1e-20));
         let mut t = 0.0f32;
         // From above the world's top to it; no farther than to its top, or its ground.
@@ -326,10 +375,11 @@ impl<'a> Walk<'a> {
         } else if self.height >= self.tops.top as f32 {
             return Met::Nothing;
         }
-        for axis in 0..2 {
-            if !self.ground.repeats[axis] && !(0..dims[axis]).contains(&self.eye[axis]) {
-                let near = if dir[axis] >= 0.0 { 0 } else { dims[axis] };
-                let enter = (near.wrapping_sub(self.eye[axis]) as f32 - self.fract[axis]) * inverse[axis];
+        for (axis, inverse, forth) in [(0, ix, forth_x), (1, iz, forth_z)] {
+            let n = self.ground.dims[axis];
+            if !self.ground.repeats[axis] && !(0..n).contains(&self.eye[axis]) {
+                let near = if forth == 1 { 0 } else { n };
+                let enter = (near.wrapping_sub(self.eye[axis]) as f32 - self.fract[axis]) * inverse;
                 if enter < 0.0 {
                     return Met::Nothing;
                 }
@@ -343,23 +393,22 @@ impl<'a> Walk<'a> {
                 return Met::Nothing;
             }
             // In quarters of columns.
-            let at = [0, 1].map(|axis| self.fract[axis] + dir[axis] * t);
-            let half = at.map(|v| (v + v).floor() as i32);
-            let off = half.map(|h| h >> 1);
-            let column = [0, 1].map(|axis| self.eye[axis].wrapping_add(off[axis]));
-            let Some(ix) = self.ground.index(column) else { return Met::Nothing };
-            let here = [ix as i32 % dims[0], ix as i32 / dims[0]];
-            let base = [0, 1].map(|axis| off[axis].wrapping_sub(here[axis]));
+            let (at_x, at_z) = (fx + dx * t, fz + dz * t);
+            let (half_x, half_z) = ((at_x + at_x).floor() as i32, (at_z + at_z).floor() as i32);
+            let (off_x, off_z) = (half_x >> 1, half_z >> 1);
+            let column = [self.eye[0].wrapping_add(off_x), self.eye[1].wrapping_add(off_z)];
+            let Some([x, z]) = self.ground.place(column) else { return Met::Nothing };
+            // From a column's number in the world to its number from the eye.
+            let (base_x, base_z) = (off_x.wrapping_sub(x), off_z.wrapping_sub(z));
             let shift = SQUARE_SHIFT + k;
             let (row, tops) = &self.tops.levels[k as usize];
-            let top = tops[((here[1] >> shift) as u32 * row + (here[0] >> shift) as u32) as usize] as f32;
-            let cross = |axis: usize, line: f32| (line - self.fract[axis]) * inverse[axis];
-            let leave = [0, 1].map(|axis| {
-                let first = (here[axis] >> shift) << shift;
-                let past = (first + (1 << shift)).min(dims[axis]);
-                cross(axis, base[axis].wrapping_add(if dir[axis] >= 0.0 { past } else { first }) as f32)
-            });
-            let leave = forward(t, leave[0].min(leave[1]));
+            let top = tops[((z >> shift) as u32 * row + (x >> shift) as u32) as usize] as f32;
+            let line_x = (((x >> shift) + forth_x) << shift).min(nx);
+            let line_z = (((z >> shift) + forth_z) << shift).min(nz);
+            let leave = forward(
+                t,
+                ((base_x.wrapping_add(line_x) as f32 - fx) * ix).min((base_z.wrapping_add(line_z) as f32 - fz) * iz),
+            );
             if self.height + (dy * t).min(dy * leave) >= top {
                 (t, k) = (leave, (k + 1).min(most));
                 continue;
@@ -368,17 +417,20 @@ impl<'a> Walk<'a> {
                 k -= 1;
                 continue;
             }
-            let lines = [0, 1].map(|axis| cross(axis, 0.5 * (half[axis] + i32::from(dir[axis] >= 0.0)) as f32));
-            let next = forward(t, lines[0].min(lines[1]));
-            if self.ground.heights[ix] == 0 {
+            let next = forward(
+                t,
+                ((0.5 * (half_x + forth_x) as f32 - fx) * ix).min((0.5 * (half_z + forth_z) as f32 - fz) * iz),
+            );
+            let under = self.ground.heights[(z * nx + x) as usize];
+            if under == 0 {
                 t = next;
                 continue;
             }
             // The patch that holds this quarter begins at the middle of the column before its own, or of its own.
-            let before = half.map(|h| (h - 1) >> 1);
-            let columns = self.ground.columns([0, 1].map(|axis| self.eye[axis].wrapping_add(before[axis])));
+            let (before_x, before_z) = ((half_x - 1) >> 1, (half_z - 1) >> 1);
+            let columns = self.ground.columns([self.eye[0].wrapping_add(before_x), self.eye[1].wrapping_add(before_z)]);
             let [a, b, c, d] = self.ground.patch(columns);
-            let [u, v] = [0, 1].map(|axis| at[axis] - (before[axis] as f32 + 0.5));
+            let (u, v) = (at_x - (before_x as f32 + 0.5), at_z - (before_z as f32 + 0.5));
             let above = self.height + dy * t - (a + b * u + c * v + d * u * v);
             // Above all of the patch.
             let top = a + b.max(0.0) + c.max(0.0) + d.max(0.0);
@@ -394,15 +446,20 @@ impl<'a> Walk<'a> {
             };
             if let Some(s) = root {
                 let depth = t + s;
-                let [u, v] = [u + dx * s, v + dz * s].map(|v| v.clamp(0.0, 1.0));
-                let last = i32::from(self.ground.heights[ix]) - 1;
-                let y = ((self.height + dy * depth) as i32).clamp(0, last);
-                return Met::Surface { depth, column, color: self.ground.color(columns, [u, v]), y };
+                let place = [(u + dx * s).clamp(0.0, 1.0), (v + dz * s).clamp(0.0, 1.0)];
+                let y = ((self.height + dy * depth) as i32).clamp(0, i32::from(under) - 1);
+                return Met::Surface { depth, column, color: self.ground.color(columns, place), y };
             }
             t = next;
         }
         Met::Nothing
     }
+}
+
+/// Of a direction that is taken for a little more than none.
+#[inline(always)]
+fn inverse(d: f32) -> f32 {
+    1.0 / if d.abs() < 1e-12 { if d < 0.0 { -1e-12 } else { 1e-12 } } else { d }
 }
 
 /// Past a border, and never back.
@@ -420,8 +477,9 @@ fn first_root(c: f32, b: f32, a: f32, most: f32) -> Option<f32> {
         return None;
     }
     let q = -0.5 * (b + if b < 0.0 { -square.sqrt() } else { square.sqrt() });
-    let roots = [if a == 0.0 { f32::INFINITY } else { q / a }, if q == 0.0 { f32::INFINITY } else { c / q }];
-    let least = roots.into_iter().filter(|s| *s >= 0.0).fold(f32::INFINITY, f32::min);
+    let one = if a == 0.0 { f32::INFINITY } else { q / a };
+    let other = if q == 0.0 { f32::INFINITY } else { c / q };
+    let least = (if one >= 0.0 { one } else { f32::INFINITY }).min(if other >= 0.0 { other } else { f32::INFINITY });
     (least <= most).then_some(least)
 }
 
