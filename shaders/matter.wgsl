@@ -184,8 +184,9 @@ fn walk(level: u32, begin: f32, stop: f32) -> bool {
                 _ = pass_through(0u, 0.0);
                 t = max(t, leaves);
                 let before = cell;
-                cell = cells_at(t, level, size);
-                // On the line itself, rounding may leave it on this side.
+                // On the line itself, rounding may leave it on this side, or put it back behind a line of the other axis.
+                let there = cells_at(t, level, size);
+                cell = select(min(there, before), max(there, before), step > vec2(0));
                 let far = select((now << vec2(BLOCK_SHIFT)) - 1, (now + 1) << vec2(BLOCK_SHIFT), step > vec2(0));
                 cell = select(cell, far, (cell >> vec2(BLOCK_SHIFT) == now) & (out <= vec2(t)));
                 if (is_outside(cell, size)) {
