@@ -393,7 +393,7 @@ fn window_tints_land_without_colours_and_its_command_does_too() {
 
     // An input is read for the command as it was for the window.
     let printed = place.succeeds(&format!("view h.png --height-scale 0.5 --window 240x160 --device cpu {script}"));
-    assert!(printed.contains("h.png --height-scale 0.5 -o view.png"), "{printed}");
+    assert!(printed.contains("h.png --height-scale=0.5 -o view.png"), "{printed}");
     place.again(printed.trim());
     let (low, again) = (place.picture("shot.png").1, place.picture("again.png").1);
     assert_eq!(pictures(&low, &again), Difference::default());

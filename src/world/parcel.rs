@@ -19,6 +19,9 @@ use crate::world::preview::Preview;
 use crate::world::tables::{BLOCK_SHIFT, Paint, ResidentLevel, Table};
 use crate::{Error, Result};
 
+/// Tiles a side of the preview: those of the finest level that stays, so that no more need be fetched for it.
+const PREVIEW: u32 = 2;
+
 /// What is known of a world before its tiles come.
 #[derive(Serialize, Deserialize)]
 struct Facts {
@@ -54,7 +57,7 @@ impl Packer {
     /// Those of the coarsest tiles.
     pub fn facts(&self) -> Result<Vec<u8>> {
         let source = &*self.source;
-        let preview = Preview::new(source)?;
+        let preview = Preview::of(source, PREVIEW)?;
         let mut parts = Cursor::new(Vec::new());
         write_scene_to(&preview.scene, &mut parts, Path::new("preview"))?;
         let mut parts = parts.into_inner();

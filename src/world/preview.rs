@@ -11,11 +11,11 @@ use crate::film::path::{Path, Pose};
 #[cfg(not(target_arch = "wasm32"))]
 use crate::frame::aim::AimArgs;
 
-/// Tiles a side that are looked at: those of the finest level that stays, so that no others need be fetched for the first picture.
-const TILES: u32 = 2;
+/// Tiles a side that are looked at.
+const TILES: u32 = 4;
 
 /// Of worlds without end so many levels are passed over: 4,096 columns a side are looked at.
-const ENDLESS_LEVEL: u32 = 3;
+const ENDLESS_LEVEL: u32 = 2;
 
 /// A part of a world at a coarse level, as a scene without colours, and where its voxels lie in the world.
 pub struct Preview {
@@ -31,23 +31,28 @@ impl Preview {
     /// # Errors
     /// Those of the tiles.
     pub fn new(source: &dyn TileSource) -> Result<Preview> {
+        Preview::of(source, TILES)
+    }
+
+    /// The same of so many tiles a side, a power of two.
+    pub(crate) fn of(source: &dyn TileSource, most: u32) -> Result<Preview> {
         let dims = source.dims();
         let side = |level: u32, axis: usize| dims[axis].div_ceil(1 << level).div_ceil(TILE);
         let (level, first) = match source.start() {
             Some([x, _, z]) => {
                 let first = |v: u32, axis: usize| {
-                    let last = side(ENDLESS_LEVEL, axis).saturating_sub(TILES);
-                    ((v >> ENDLESS_LEVEL) / TILE).saturating_sub(TILES / 2).min(last)
+                    let last = side(ENDLESS_LEVEL, axis).saturating_sub(most);
+                    ((v >> ENDLESS_LEVEL) / TILE).saturating_sub(most / 2).min(last)
                 };
                 (ENDLESS_LEVEL, [first(x, 0), first(z, 2)])
             }
             None => {
-                let fits = |&level: &u32| side(level, 0).max(side(level, 2)) <= TILES;
+                let fits = |&level: &u32| side(level, 0).max(side(level, 2)) <= most;
                 let last = source.levels() - 1;
                 ((0..last).find(fits).unwrap_or(last), [0, 0])
             }
         };
-        let tiles = [0, 1].map(|k| side(level, 2 * k).min(first[k] + TILES) - first[k]);
+        let tiles = [0, 1].map(|k| side(level, 2 * k).min(first[k] + most) - first[k]);
         let keys: Vec<TileKey> = (0..tiles[1])
             .flat_map(|z| (0..tiles[0]).map(move |x| TileKey { level, x: first[0] + x, z: first[1] + z }))
             .collect();
