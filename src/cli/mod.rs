@@ -1703,14 +1703,14 @@ mod tests {
     #[test]
     fn words_that_say_how_an_input_is_read_have_the_names_of_the_command_they_are_for() {
         let line = "planecast view mesh.stl --yaw 30 --height-scale 0.1 --colors=a.png --device cpu --iso=-20 --input-spacing as-is \
-                    --full-screen --window 320x200 --input-window=-5,9 --fill --voxel 2";
+                    --full-screen --window 320x200 --input-window=-5,9 --classes 32 --fill --voxel 2";
         let Command::View(view) = parse(line).unwrap().command else { panic!("not view") };
         let words = |command| {
             let mut words: Vec<String> = words_of(command, &view.input_options.words).into_iter().flatten().collect();
             words.sort();
             words
         };
-        let both = ["--colors=a.png", "--fill", "--height-scale=0.1", "--input-spacing=as-is"];
+        let both = ["--classes=32", "--colors=a.png", "--fill", "--height-scale=0.1", "--input-spacing=as-is"];
         assert_eq!(words("render"), [&both[..], &["--input-voxel=2", "--iso=-20", "--window=-5,9"]].concat());
         assert_eq!(words("fly"), [&both[..], &["--iso=-20", "--voxel=2", "--window=-5,9"]].concat());
         for command in ["render", "fly"] {
