@@ -6,7 +6,7 @@ use std::sync::mpsc::TryRecvError;
 
 use planecast_encoder::Scene;
 
-use super::engine::{self, Engine};
+use super::engine::Engine;
 pub use super::engine::{Device, Failure};
 use super::{Begin, Drawn, GpuOptions, GpuRenderer, Mapped, Parts, Sent};
 use crate::clock::Instant;
@@ -28,7 +28,7 @@ impl Device {
     /// surface shows. Renderers that share a device compile each shader once.
     #[cfg(not(target_arch = "wasm32"))]
     pub fn headless() -> Result<Device> {
-        Device::on(&Engine::choose(&engine::instance(), None)?)
+        Device::on(&Engine::choose(&super::engine::instance(), None)?)
     }
 
     /// What to ask an adapter for, so that scenes and pictures fit as with [`GpuRenderer::new`].
